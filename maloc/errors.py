@@ -1,0 +1,45 @@
+"""Errors and warnings that maloc raises, each with a mend where there is one."""
+
+from __future__ import annotations
+
+__all__ = ["FitError", "InputError", "MalocWarning"]
+
+
+class MalocWarning(UserWarning):
+    """Something in the input or the fit that the user should know but that does not stop the work."""
+
+
+class InputError(ValueError):
+    """Bad input: says file, row, column, what is wrong and how to mend it, in one line.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong.
+    file, row, column : optional
+        Where: file name, line of the file (1 = first line), column name.
+    mend : str, optional
+        What the user can do about it.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        file: object = None,
+        row: int | None = None,
+        column: str | None = None,
+        mend: str | None = None,
+    ) -> None:
+        self.problem, self.file, self.row, self.column, self.mend = problem, file, row, column, mend
+        where = [] if file is None else [str(file)]
+        if row is not None:
+            where.append(f"line {row}")
+        if column is not None:
+            where.append(f"column '{column}'")
+        text = f"{', '.join(where)}: {problem}" if where else problem
+        super().__init__(" ".join(f"{text}; {mend}".split()) if mend else " ".join(text.split()))
+
+
+class FitError(RuntimeError):
+    """A fit that failed and says why; never returned as if it were fine."""
