@@ -1,0 +1,64 @@
+"""Data at the edge: validated containers, readers, grouping into pings, and checks.
+
+Nothing here needs JAX; polars is imported only when a table is read or written.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+__all__ = [
+    "ArrivalTimes",
+    "CheckReport",
+    "Detections",
+    "Note",
+    "ReadReport",
+    "Receivers",
+    "Schedule",
+    "SetAside",
+    "check",
+    "collinear",
+    "match_tag",
+    "read_detections",
+    "read_receivers",
+    "read_toa",
+    "toa_matrix",
+]
+
+_HOME = {
+    "ArrivalTimes": "arrivals",
+    "CheckReport": "check",
+    "Detections": "detections",
+    "Note": "report",
+    "ReadReport": "report",
+    "Receivers": "receivers",
+    "Schedule": "arrivals",
+    "SetAside": "arrivals",
+    "check": "check",
+    "collinear": "receivers",
+    "match_tag": "_tags",
+    "read_detections": "readers",
+    "read_receivers": "readers",
+    "read_toa": "readers",
+    "toa_matrix": "grouping",
+}
+
+if TYPE_CHECKING:
+    from maloc.data.check import CheckReport, check
+    from maloc.data.grouping import toa_matrix
+
+    from maloc.data._tags import match_tag
+    from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
+    from maloc.data.detections import Detections
+    from maloc.data.readers import read_detections, read_receivers, read_toa
+    from maloc.data.receivers import Receivers, collinear
+    from maloc.data.report import Note, ReadReport
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first asked for (PEP 562)."""
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value

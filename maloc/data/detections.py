@@ -1,0 +1,198 @@
+"""Detections: who heard which tag when, exactly as the receivers' clocks had it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maloc.data import _arrays
+from maloc.data._tags import match_tag
+from maloc.data._time import NS, duration, iso
+from maloc.data.report import Note, ReadReport
+from maloc.errors import InputError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = ["Detections"]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Detections:
+    """A table of detections, validated once and read-only.
+
+    Parameters
+    ----------
+    time : array (N,) of int64
+        ns since 1970 UTC on the receiver's own clock, in the order of the input.
+    receiver : array (N,) of str
+        Serial or name of the receiver.
+    tag : array (N,) of str
+        Full tag id, code space kept ("A69-1602-15266").
+    extra : mapping of str to array (N,)
+        Further columns: signal, noise, snr, sensor, sensor_unit, depth, station, ...
+    report : ReadReport
+        What was read, and the notes made on the way.
+
+    Raises
+    ------
+    InputError
+        If lengths differ, times are not whole nanoseconds, or an id is missing.
+    """
+
+    time: np.ndarray
+    receiver: np.ndarray
+    tag: np.ndarray
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    report: ReadReport = field(default_factory=ReadReport)
+
+    def __post_init__(self) -> None:
+        time = _arrays.times(self.time, "time")
+        n = len(time)
+        extra = {}
+        for name, values in dict(self.extra).items():
+            column = np.array(values)
+            if column.shape != (n,):
+                raise InputError(f"extra '{name}' must have shape ({n},), got {column.shape}")
+            column.setflags(write=False)
+            extra[str(name)] = column
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "receiver", _arrays.text(self.receiver, "receiver", n))
+        object.__setattr__(self, "tag", _arrays.text(self.tag, "tag", n))
+        object.__setattr__(self, "extra", extra)
+
+    def __reduce__(self):
+        return Detections, (self.time, self.receiver, self.tag, dict(self.extra), self.report)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @cached_property
+    def tags(self) -> tuple[str, ...]:
+        """Tag ids present, sorted."""
+        return tuple(map(str, np.unique(self.tag)))
+
+    @cached_property
+    def receivers(self) -> tuple[str, ...]:
+        """Receivers present, sorted."""
+        return tuple(map(str, np.unique(self.receiver)))
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last time, ns since 1970; None when there are no detections."""
+        return (int(self.time.min()), int(self.time.max())) if len(self) else None
+
+    def select(
+        self,
+        tag: object = None,
+        receiver: str | Sequence[str] | None = None,
+        mask: np.ndarray | None = None,
+    ) -> Detections:
+        """Return the detections of one tag, of some receivers, or where `mask` (N,) is true.
+
+        Raises
+        ------
+        InputError
+            If the tag is unknown or ambiguous (see `find_tag`).
+        """
+        keep = np.ones(len(self), bool) if mask is None else np.asarray(mask)
+        if tag is not None:
+            keep = keep & (self.tag == self.find_tag(tag))
+        if receiver is not None:
+            keep = keep & np.isin(self.receiver, np.atleast_1d(np.asarray(receiver, dtype=str)))
+        return self._take(keep)
+
+    def _take(self, rows: np.ndarray) -> Detections:
+        extra = {k: v[rows] for k, v in self.extra.items()}
+        return Detections(self.time[rows], self.receiver[rows], self.tag[rows], extra, self.report)
+
+    def find_tag(self, short: object) -> str:
+        """Return the full id of a tag from a unique ending of it ("15266").
+
+        Raises
+        ------
+        InputError
+            If the ending is ambiguous (candidates named) or unknown (tags listed).
+        """
+        return match_tag(self.tags, short)
+
+    @classmethod
+    def from_frame(cls, data: Any, report: ReadReport | None = None) -> Detections:
+        """Build from a dataframe with columns time (datetime or ns), receiver, tag, and others.
+
+        Raises
+        ------
+        InputError
+            If one of the three columns is missing or has missing values.
+        """
+        import polars as pl
+
+        df = _arrays.frame(data)
+        for name in ("time", "receiver", "tag"):
+            if name not in df.columns:
+                raise InputError(f"column '{name}' is missing; columns: {', '.join(df.columns)}")
+            if df[name].null_count():
+                raise InputError(f"{df[name].null_count()} missing values", column=name)
+        time = df["time"]
+        if isinstance(time.dtype, pl.Datetime):
+            if time.dtype.time_zone:
+                time = time.dt.convert_time_zone("UTC")
+            time = (
+                time.dt.timestamp("us") * 1000
+                if time.dtype.time_unit != "ns"
+                else time.dt.timestamp("ns")
+            )
+        extra = {c: df[c].to_numpy() for c in df.columns if c not in ("time", "receiver", "tag")}
+        report = report or ReadReport("dataframe", rows=len(df))
+        ids = [df[c].cast(pl.String).to_numpy() for c in ("receiver", "tag")]
+        return cls(time.to_numpy(), *ids, extra, report)
+
+    def to_frame(self) -> pl.DataFrame:
+        """Return a polars DataFrame: time (UTC, ns), receiver, tag, and the extra columns."""
+        import polars as pl
+
+        time = pl.Series("time", self.time).cast(pl.Datetime("ns", "UTC"))
+        head = {"receiver": self.receiver.tolist(), "tag": self.tag.tolist()}
+        columns = [pl.Series(k, v, dtype=pl.String) for k, v in head.items()]
+        columns += [
+            pl.Series(k, v.tolist() if v.dtype == object else v) for k, v in self.extra.items()
+        ]
+        return pl.DataFrame([time, *columns])
+
+    @staticmethod
+    def concat(parts: Sequence[Detections]) -> Detections:
+        """Merge tables; detections present twice (same time, receiver and tag) are kept once.
+
+        The number removed is noted in the report. Extra columns that a part lacks are missing
+        (NaN or None) in its rows.
+        """
+        import polars as pl
+
+        parts = list(parts)
+        if not parts:
+            return Detections(np.empty(0, np.int64), np.empty(0, str), np.empty(0, str))
+        if len(parts) == 1:
+            return parts[0]
+        both = pl.concat([p.to_frame() for p in parts], how="diagonal_relaxed")
+        kept = both.unique(["time", "receiver", "tag"], keep="first", maintain_order=True)
+        report = ReadReport.merge(p.report for p in parts)
+        if gone := len(both) - len(kept):
+            text = f"{gone} detections present in more than one file, kept once"
+            report = report.add(Note("info", text, gone))
+        report = ReadReport(report.format, report.files, len(kept), report.notes)
+        return Detections.from_frame(kept, report)
+
+    def __repr__(self) -> str:
+        tags, receivers = len(self.tags), len(self.receivers)
+        if self.span is None:
+            return "Detections: none"
+        first, last = self.span
+        return (
+            f"Detections: {len(self)} of {tags} tag{'s' * (tags != 1)} by {receivers} "
+            f"receiver{'s' * (receivers != 1)}, {iso(first)} to {iso(last)} UTC "
+            f"({duration((last - first) / NS)})"
+        )
