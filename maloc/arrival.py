@@ -201,8 +201,8 @@ class Student(_ArrivalError):
 
     References
     ----------
-    Baktoft, Gjelland, Okland & Thygesen (2017) Positioning of aquatic animals based on time-of-arrival
-    and random walk models using YAPS. Sci. Rep. 7: 14294.
+    Baktoft, Gjelland, Okland & Thygesen (2017) Positioning of aquatic animals based on
+    time-of-arrival and random walk models using YAPS. Sci. Rep. 7: 14294.
     """
 
     arg_constraints = {
@@ -261,9 +261,9 @@ class Student(_ArrivalError):
 class DDetect(_ArrivalError):
     """Direct and reflected arrivals: kaltoa's ddetect as a distribution.
 
-    f(e) = (1 - w) N(e; 0, sigma) + w GN(e; phi/2, phi/2, beta) for e = value - loc: a direct arrival
-    is Gaussian, a reflected one is late by up to ``phi``, nearly uniformly. A share ``background`` of
-    all arrivals may be anything (Gaussian, centre phi/2, sd 10 phi): without it one arrival later
+    f(e) = (1 - w) N(e; 0, sigma) + w GN(e; phi/2, phi/2, beta) for e = value - loc: a direct
+    arrival is Gaussian, a reflected one is late by up to ``phi``, nearly uniformly. A share
+    ``background`` of all arrivals may be anything (Gaussian, centre phi/2, sd 10 phi): without it one arrival later
     than phi breaks a fit.
 
     Parameters

@@ -6,7 +6,7 @@ __all__ = ["FitError", "InputError", "MalocWarning"]
 
 
 class MalocWarning(UserWarning):
-    """Something in the input or the fit that the user should know but that does not stop the work."""
+    """Something the user should know about the input or the fit, but that stops nothing."""
 
 
 class InputError(ValueError):

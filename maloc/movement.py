@@ -107,11 +107,11 @@ class CTCRW(dist.Distribution):
 
     Notes
     -----
-    A value has shape (T, 2, A): ``value[:, 0]`` are positions (m), ``value[:, 1]`` velocities (m/s).
+    A value has shape (T, 2, A): ``value[:, 0]`` positions (m), ``value[:, 1]`` velocities (m/s).
     """
 
     arg_constraints = {
-        "dt": constraints.positive_vector,
+        "dt": constraints.independent(constraints.positive, 1),
         "sigma_vel": constraints.positive,
         "t05": constraints.positive,
         "centre": constraints.real_vector,
@@ -221,7 +221,7 @@ class Brownian(dist.Distribution):
     """
 
     arg_constraints = {
-        "dt": constraints.positive_vector,
+        "dt": constraints.independent(constraints.positive, 1),
         "sigma": constraints.positive,
         "centre": constraints.real_vector,
         "spread": constraints.positive,
