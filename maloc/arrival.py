@@ -31,6 +31,7 @@ from maloc._jax import jax, jnp
 __all__ = ["DDetect", "Gaussian", "GeneralizedNormal", "Student"]
 
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+_T3_PEAK = 2 / (math.pi * math.sqrt(3))  # density of Student's t with 3 df at 0
 _MAX_LOG_POWER = 45.0  # |z|^beta is cut at e^45: far beyond any density that matters, no overflow
 
 
@@ -263,7 +264,8 @@ class DDetect(_ArrivalError):
 
     f(e) = (1 - w) N(e; 0, sigma) + w GN(e; phi/2, phi/2, beta) for e = value - loc: a direct
     arrival is Gaussian, a reflected one is late by up to ``phi``, nearly uniformly. A share
-    ``background`` of all arrivals may be anything (Gaussian, centre phi/2, sd 10 phi): without it one arrival later
+    ``background`` of all arrivals may be anything (Student t, 3 df, centre phi/2, scale 10 phi): without it
+    one arrival later
     than phi breaks a fit.
 
     Parameters
@@ -303,48 +305,59 @@ class DDetect(_ArrivalError):
         shape = jax.lax.broadcast_shapes(*(jnp.shape(a) for a in (loc, sigma, phi, w)))
         super().__init__(batch_shape=shape, validate_args=validate_args)
 
-    @property
-    def _norm(self):
-        return math.log(self.beta) - math.lgamma(1 / self.beta)
+    def _log_norms(self):
+        """Log weights over scales of the direct, reflected and wild densities."""
+        keep = math.log1p(-self.background)
+        shape = math.log(self.beta) - math.lgamma(1 / self.beta)
+        direct = jnp.log1p(-self.w) + keep - jnp.log(self.sigma) - _HALF_LOG_2PI
+        reflected = jnp.log(self.w) + keep + shape - jnp.log(self.phi)
+        return direct, reflected
 
-    def _components(self, value):
-        """Log weighted densities of the direct, reflected (and background) arrivals."""
+    def _exponents(self, value):
+        """Exponents of the direct and reflected densities."""
         error = value - self.loc
         half = self.phi / 2
-        keep = math.log1p(-self.background)
-        z = error / self.sigma
-        direct = jnp.log1p(-self.w) + keep - 0.5 * z**2 - jnp.log(self.sigma) - _HALF_LOG_2PI
-        late = (error - half) / half
-        reflected = (
-            jnp.log(self.w) + keep + self._norm - jnp.log(self.phi) - _power(late, self.beta)
-        )
-        if self.background == 0:
-            return direct, reflected
-        wide = 10 * self.phi
-        wild = -0.5 * ((error - half) / wide) ** 2 - jnp.log(wide) - _HALF_LOG_2PI
-        return direct, reflected, wild + math.log(self.background)
+        return -0.5 * (error / self.sigma) ** 2, -_power((error - half) / half, self.beta)
+
+    def _wild(self, value):
+        """Density of wild arrivals: Student t, 3 df, scale 10 phi (rational: no underflow)."""
+        t = (value - self.loc - self.phi / 2) / (10 * self.phi)
+        return self.background * _T3_PEAK / (10 * self.phi) / (1 + t**2 / 3) ** 2
+
+    def _parts(self, value):
+        """Densities of the parts; safe to add up because the wild one never vanishes."""
+        direct_norm, reflected_norm = self._log_norms()
+        direct, reflected = self._exponents(value)
+        parts = jnp.exp(direct_norm) * jnp.exp(direct), jnp.exp(reflected_norm) * jnp.exp(reflected)
+        return *parts, self._wild(value)
 
     def log_prob(self, value):
-        """Log density, by logaddexp of the parts; gradients finite everywhere."""
-        direct, *late = self._components(value)
-        other = late[0] if len(late) == 1 else jnp.logaddexp(*late)
-        return jnp.logaddexp(direct, other)
+        """Log density; gradients finite everywhere."""
+        if self.background:
+            direct, reflected, wild = self._parts(value)
+            return jnp.log(direct + reflected + wild)
+        direct_norm, reflected_norm = self._log_norms()
+        direct, reflected = self._exponents(value)
+        return jnp.logaddexp(direct_norm + direct, reflected_norm + reflected)
 
     def p_direct(self, value):
         """Posterior probability that each arrival is direct."""
-        direct, *late = self._components(value)
-        other = late[0] if len(late) == 1 else jnp.logaddexp(*late)
-        return jax.nn.sigmoid(direct - other)
+        if self.background:
+            direct, reflected, wild = self._parts(value)
+            return direct / (direct + reflected + wild)
+        direct_norm, reflected_norm = self._log_norms()
+        direct, reflected = self._exponents(value)
+        return jax.nn.sigmoid(direct_norm + direct - reflected_norm - reflected)
 
     def sample(self, key, sample_shape=()):
         """Draw."""
-        keys = jax.random.split(key, 4)
+        keys = jax.random.split(key, 5)
         shape = self.shape(sample_shape)
         half = self.phi / 2
         direct = self.sigma * jax.random.normal(keys[0], shape)
         reflected = GeneralizedNormal(half, half, self.beta).expand(self.batch_shape)
         reflected = reflected.sample(keys[1], sample_shape)
-        wild = half + 10 * self.phi * jax.random.normal(keys[0], shape)
+        wild = half + 10 * self.phi * jax.random.t(keys[4], 3.0, shape)
         error = jnp.where(jax.random.uniform(keys[2], shape) < self.w, reflected, direct)
         error = jnp.where(jax.random.uniform(keys[3], shape) < self.background, wild, error)
         return self.loc + error
@@ -355,7 +368,7 @@ class DDetect(_ArrivalError):
         half = self.phi / 2
         inside = (1 - self.w) * jax.scipy.special.ndtr(error / self.sigma)
         inside = inside + self.w * GeneralizedNormal(half, half, self.beta).cdf(error)
-        wild = jax.scipy.special.ndtr((error - half) / (10 * self.phi))
+        wild = dist.StudentT(3.0, half, 10 * self.phi).cdf(error)
         return (1 - self.background) * inside + self.background * wild
 
     def icdf(self, q):
@@ -386,7 +399,7 @@ class DDetect(_ArrivalError):
         """Variance of the mixture."""
         half = self.phi / 2
         reflected = GeneralizedNormal(half, half, self.beta).variance + half**2
-        wild = half**2 + (10 * self.phi) ** 2
+        wild = half**2 + 3 * (10 * self.phi) ** 2
         keep = 1 - self.background
         second = keep * ((1 - self.w) * self.sigma**2 + self.w * reflected) + self.background * wild
         return jnp.broadcast_to(second - (self.mean - self.loc) ** 2, self.batch_shape)
@@ -417,8 +430,8 @@ class DDetect(_ArrivalError):
         z = jnp.clip((error - half) / half, -2.0, 2.0)
         late_slope = -self.beta * jnp.abs(z) ** (self.beta - 1) * jnp.sign(z) / half
         if self.background:
-            _, reflected, wild = self._components(value)
-            share = jax.nn.sigmoid(reflected - wild)
+            _, reflected, wild = self._parts(value)
+            share = reflected / (reflected + wild)
             late_curv = -share * self._late_curvature(value) + share * (1 - share) * late_slope**2
             late_slope = share * late_slope
         else:
