@@ -1,0 +1,54 @@
+# make demo   set up, simulate an array, track a tag in it, compare with the truth
+# make test   set up, lint, types, then the whole test suite and the notebooks
+# Nothing but Python 3.11+ and make is needed beforehand; everything lands in .venv.
+
+VENV  := .venv
+BIN   := $(VENV)/bin
+STAMP := $(VENV)/.installed
+NOTEBOOKS := $(wildcard notebooks/*.ipynb)
+WORKERS ?= 2
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+
+.PHONY: install test lint pytest demo clean
+.DELETE_ON_ERROR:
+
+install: $(STAMP)
+
+# The stamp is younger than both files exactly when what they ask for is installed.
+$(STAMP): pyproject.toml constraints.txt
+	@set -e; \
+	if [ ! -x $(BIN)/python ]; then \
+	  for p in python3 python3.13 python3.12 python3.11; do \
+	    if "$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; \
+	    then python=$$p; break; fi; \
+	  done; \
+	  if [ -z "$$python" ]; then \
+	    echo "maloc needs Python 3.11 or newer, and none of python3, python3.13, python3.12," \
+	         "python3.11 is one: install one and run make again" >&2; exit 1; \
+	  fi; \
+	  echo "setting up $(VENV) with $$($$python --version)"; \
+	  "$$python" -m venv $(VENV); \
+	fi
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	@touch $(STAMP)
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+pytest: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal \
+	  $(if $(NOTEBOOKS),--nbmake --nbmake-timeout=300) tests $(NOTEBOOKS)
+
+test: lint
+	@$(MAKE) --no-print-directory pytest
+
+demo: $(STAMP)
+	@rm -rf demo
+	$(BIN)/python -m benchmarks.demo demo
+
+clean:
+	rm -rf $(VENV) build dist demo .cache .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,49 @@
+"""Settings that must stand before NumPy or JAX load, and the fixtures that all tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# One thread a worker: the workers share the cores, and sums come out the same everywhere.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS"):
+    os.environ.setdefault(_name, "1")
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+)
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# A shape that is broadcast by accident is an error in the whole suite.
+os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+# The workers share what they compile, with one another and with the next run.
+os.environ.setdefault("MALOC_CACHE_DIR", str(ROOT / ".cache" / "jax"))
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import pytest  # noqa: E402
+from hypothesis import HealthCheck, settings  # noqa: E402
+
+settings.register_profile(
+    "maloc",
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("maloc")
+
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared_dir() -> Path:
+    """The folder `shared` beside the checkout: real data and cases, never part of the package."""
+    if not SHARED.is_dir():
+        pytest.skip("the folder 'shared' with real data is not beside this checkout")
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def root_dir() -> Path:
+    """The root of the checkout."""
+    return ROOT
