@@ -1,0 +1,162 @@
+"""Arrival times as the models see them: padded arrays of one shape per bucket.
+
+Pings that nobody heard are not states of the chain (they carry no arrival time; their positions are
+predicted afterwards), so row ``t`` here is the ``t``-th heard ping. Padding pings continue the chain
+with nothing heard: they integrate out of every posterior exactly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from maloc._jax import jax, jnp
+
+if TYPE_CHECKING:
+    from maloc.data.arrivals import ArrivalTimes
+
+__all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
+
+_MIN_LATENESS = 0.25  # s; receivers are blanked about this long after a detection
+
+
+@dataclasses.dataclass(frozen=True)
+class ToaData:
+    """One tag's heard pings, ready for a model (a pytree; ``schedule`` is static).
+
+    Attributes
+    ----------
+    range : (T, R) m
+        Reference sound speed x (arrival - first arrival of the ping); 0 where not heard.
+    heard : (T, R) bool
+        Which receivers heard the ping.
+    time : (T,) s
+        First arrival of each ping, from the data set's origin.
+    dt : (T - 1,) s
+        Element t: from ping t to ping t + 1.
+    speed : (T,) m/s
+        Reference sound speed.
+    receiver_xy : (R, 2) m
+        Receiver positions.
+    centre : (2,) m
+        Middle of the receivers that heard something.
+    spread : () m
+        Standard deviation of the first position around it, and of a ping's range.
+    phi : () m
+        Largest lateness of a reflected arrival.
+    n_intervals : (T - 1,)
+        Burst intervals between consecutive heard pings; 0 where not known.
+    interval : (2,) s
+        MIN, MAX (random schedule) or MEAN, SD (stable).
+    valid : (T,) bool
+        False for padding.
+    schedule : str
+        "unknown", "random" or "stable".
+    """
+
+    range: Float[Array, "ping receiver"]
+    heard: Bool[Array, "ping receiver"]
+    time: Float[Array, " ping"]
+    dt: Float[Array, " step"]
+    speed: Float[Array, " ping"]
+    receiver_xy: Float[Array, "receiver 2"]
+    centre: Float[Array, 2]
+    spread: Float[Array, ""]
+    phi: Float[Array, ""]
+    n_intervals: Float[Array, " step"]
+    interval: Float[Array, 2]
+    valid: Bool[Array, " ping"]
+    schedule: str = dataclasses.field(default="unknown", metadata={"static": True})
+
+    @property
+    def interval_known(self):
+        """Where the number of burst intervals between heard pings is known, (T - 1,) bool."""
+        return self.n_intervals > 0
+
+
+jax.tree_util.register_dataclass(
+    ToaData,
+    data_fields=[f.name for f in dataclasses.fields(ToaData) if f.name != "schedule"],
+    meta_fields=["schedule"],
+)
+
+
+def bucket(n: int) -> int:
+    """Smallest padded length >= n: 16, 24, 32, 48, 64, 96, ... (steps of 1.33 to 1.5)."""
+    size = 16
+    while size < n:
+        size = size * 3 // 2 if (size & (size - 1)) == 0 else size * 4 // 3
+    return size
+
+
+def _intervals(first: np.ndarray, kind: str, lo: float, hi: float, slack: float) -> np.ndarray:
+    """Burst intervals in each gap where the limits leave one answer, else 0."""
+    gaps = np.diff(first)
+    if kind == "stable":
+        n = np.rint(gaps / lo)
+        fits = np.abs(gaps - n * lo) < np.maximum(0.25 * lo, 5 * hi)
+        return np.where(fits & (n >= 1), n, 0.0)
+    if kind == "random":
+        least = np.ceil((gaps - slack) / hi)
+        most = np.floor((gaps + slack) / lo)
+        return np.where((least == most) & (least >= 1), least, 0.0)
+    return np.zeros_like(gaps)
+
+
+def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
+    """Arrays of the heard pings of `toa`, padded to a bucket unless ``pad`` is false.
+
+    Parameters
+    ----------
+    toa : ArrivalTimes
+        P pings, R receivers.
+    pad : bool
+        Pad pings and receivers, so that one compilation serves many data sets.
+
+    Returns
+    -------
+    ToaData
+    """
+    heard_rows = toa.heard.any(axis=1)
+    arrivals = np.asarray(toa.toa)[heard_rows]
+    heard = np.isfinite(arrivals)
+    speed = np.asarray(toa.sound_speed, float)[heard_rows]
+    first = np.where(heard, arrivals, np.inf).min(axis=1)
+    ranges = np.where(heard, (arrivals - first[:, None]) * speed[:, None], 0.0)
+    xy = np.column_stack([toa.receivers.x, toa.receivers.y]).astype(float)
+    used = xy[heard.any(axis=0)]
+    centre = used.mean(axis=0)
+    diameter = float(np.max(np.linalg.norm(used[:, None] - used[None], axis=-1)))
+    schedule = toa.schedule
+    slack = 0.2 * diameter / float(speed.mean()) + 0.05
+    n_intervals = _intervals(first, schedule.kind, schedule.lo, schedule.hi, slack)
+
+    n_pings, n_receivers = ranges.shape
+    pings = bucket(n_pings) if pad else n_pings
+    columns = -(-n_receivers // 4) * 4 if pad else n_receivers
+    more, wider = pings - n_pings, columns - n_receivers
+    step = float(np.median(np.diff(first))) if n_pings > 1 else 60.0
+    rows_and_columns = ((0, more), (0, wider))
+    return ToaData(
+        range=jnp.asarray(np.pad(ranges, rows_and_columns)),
+        heard=jnp.asarray(np.pad(heard, rows_and_columns)),
+        time=jnp.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
+        dt=jnp.asarray(np.append(np.diff(first), np.full(more, step))),
+        speed=jnp.asarray(np.append(speed, np.full(more, speed[-1]))),
+        receiver_xy=jnp.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
+        centre=jnp.asarray(centre),
+        spread=jnp.asarray(max(1000.0, 2 * diameter)),
+        phi=jnp.asarray(max(diameter, _MIN_LATENESS * float(speed.mean()))),
+        n_intervals=jnp.asarray(np.append(n_intervals, np.zeros(more))),
+        interval=jnp.asarray([schedule.lo, schedule.hi], float),
+        valid=jnp.asarray(np.arange(pings) < n_pings),
+        schedule=schedule.kind,
+    )
+
+
+def as_toa_data(toa: ArrivalTimes | ToaData) -> ToaData:
+    """Model arrays of `toa`: as they are, or made without padding from arrival times."""
+    return toa if isinstance(toa, ToaData) else to_model_data(toa, pad=False)

@@ -1,0 +1,326 @@
+"""A NumPyro model seen as a chain: flat path, flat parameters, and jitted derivatives of both.
+
+The latent sites that are Markov in time (``is_chain`` on the distribution, ``infer={"is_chain": True}``
+on the site, or named by the caller) are flattened to a path of shape (T, d); all other latent sites to
+a vector of unconstrained parameters. The Hessian in the path is then block-tridiagonal, and its blocks
+come from 3 d coloured Hessian-vector products, whatever the model.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpyro.distributions as dist
+from numpyro import handlers
+from numpyro.distributions.transforms import biject_to
+
+from maloc._jax import jax, jnp
+from maloc.errors import FitError
+
+__all__ = ["ChainModel", "chain_model"]
+
+
+class ChainSite(NamedTuple):
+    """A path site: name, shape behind time, columns it takes in the flat path."""
+
+    name: str
+    tail: tuple[int, ...]
+    columns: slice
+
+
+class GlobalSite(NamedTuple):
+    """A parameter site: name, unconstrained shape, transform, place in the flat vector."""
+
+    name: str
+    shape: tuple[int, ...]
+    transform: Any
+    place: slice
+
+
+def _unwrap(fn):
+    """Innermost distribution of a masked one, and its mask."""
+    if isinstance(fn, dist.MaskedDistribution):
+        inner, mask = _unwrap(fn.base_dist)
+        return inner, fn._mask if mask is None else mask & fn._mask
+    return fn, None
+
+
+def _is_chain(site, path) -> bool:
+    if path is not None:
+        return site["name"] in path
+    return bool(getattr(site["fn"], "is_chain", False) or site["infer"].get("is_chain"))
+
+
+class ChainModel:
+    """Densities and derivatives of one model with one set of static options.
+
+    Parameters
+    ----------
+    model : callable
+        NumPyro model.
+    options : dict
+        Static keyword arguments of the model.
+    args : tuple
+        Arguments of the model (pytrees of arrays); their values are not kept.
+    path : tuple of str, optional
+        Names of the path sites; found by ``is_chain`` where None.
+
+    Raises
+    ------
+    FitError
+        If the model has no path site, or path sites of different lengths or with bounds.
+    """
+
+    def __init__(self, model: Callable, options: dict, args: tuple, path: tuple | None) -> None:
+        self.model, self.options = model, options
+        trace = self._trace({}, args)
+        self.chain: list[ChainSite] = []
+        self.globals: list[GlobalSite] = []
+        start = place = 0
+        lengths = set()
+        for name, site in trace.items():
+            if site["type"] != "sample" or site["is_observed"]:
+                continue
+            shape = jnp.shape(site["value"])
+            if _is_chain(site, path):
+                width = int(np.prod(shape[1:]))
+                lengths.add(shape[0])
+                transform = biject_to(site["fn"].support)
+                if not _is_identity(transform):
+                    raise FitError(f"path site '{name}' must be unbounded (real support)")
+                self.chain.append(ChainSite(name, shape[1:], slice(start, start + width)))
+                start += width
+            else:
+                transform = biject_to(site["fn"].support)
+                flat = transform.inverse_shape(shape)
+                size = int(np.prod(flat))
+                self.globals.append(GlobalSite(name, flat, transform, slice(place, place + size)))
+                place += size
+        if len(lengths) != 1:
+            raise FitError(
+                "the model has no path site (mark it with infer={'is_chain': True} or path=)"
+                if not lengths
+                else f"path sites differ in length: {sorted(lengths)}"
+            )
+        self.d, self.k = start, place
+        self.value = jax.jit(self._value)
+        self.terms = jax.jit(self._robust_terms)
+        self.exact = jax.jit(self._exact_terms)
+        self.cross = jax.jit(self._cross)
+        self.natural = jax.jit(self._natural)
+        self.pointwise = jax.jit(self._pointwise)
+
+    def _trace(self, values: dict, args: tuple):
+        model = handlers.seed(self.model, rng_seed=0)
+        model = handlers.substitute(model, data=values)
+        return handlers.trace(model).get_trace(*args, **self.options)
+
+    def length(self, args: tuple) -> int:
+        """Number of states T for these arguments."""
+        name = self.chain[0].name
+        shapes = jax.eval_shape(lambda a: self._trace({}, a)[name]["value"], args)
+        return shapes.shape[0]
+
+    # -- flat <-> sites ---------------------------------------------------------------------
+
+    def sites(self, x, u) -> tuple[dict, Any]:
+        """Natural values of all latent sites, and log |d natural / d unconstrained|."""
+        values = {s.name: x[:, s.columns].reshape(x.shape[0], *s.tail) for s in self.chain}
+        log_det = jnp.zeros(())
+        for s in self.globals:
+            flat = u[s.place].reshape(s.shape)
+            values[s.name] = s.transform(flat)
+            log_det += jnp.sum(s.transform.log_abs_det_jacobian(flat, values[s.name]))
+        return values, log_det
+
+    def flat_path(self, values: dict) -> np.ndarray:
+        """Path sites' values as one array (T, d)."""
+        columns = [np.asarray(values[s.name]) for s in self.chain]
+        return np.concatenate([c.reshape(c.shape[0], -1) for c in columns], axis=1)
+
+    def flat_globals(self, values: dict) -> np.ndarray:
+        """Natural parameter values as one unconstrained vector (k,)."""
+        parts = [
+            np.ravel(s.transform._inverse(jnp.asarray(values[s.name], float)))
+            for s in self.globals
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def prior_medians(self, args: tuple, draws: int = 15) -> dict:
+        """Median of a few prior draws of each parameter site."""
+        seeds = jnp.arange(draws)
+
+        def draw(seed):
+            model = handlers.seed(self.model, rng_seed=seed)
+            trace = handlers.trace(model).get_trace(*args, **self.options)
+            return {s.name: trace[s.name]["value"] for s in self.globals}
+
+        return {k: np.median(v, axis=0) for k, v in jax.jit(jax.vmap(draw))(seeds).items()}
+
+    # -- densities ----------------------------------------------------------------------------
+
+    def _joint(self, x, u, args, temper):
+        """Log joint density in (path, unconstrained parameters), errors widened to ``temper``."""
+        values, total = self.sites(x, u)
+        for site in self._trace(values, args).values():
+            if site["type"] != "sample":
+                continue
+            fn = site["fn"]
+            base, mask = _unwrap(fn)
+            if site["is_observed"] and hasattr(base, "widened"):
+                fn = base.widened(temper)
+                fn = fn if mask is None else fn.mask(mask)
+            scale = 1.0 if site["scale"] is None else site["scale"]
+            total += jnp.sum(scale * fn.log_prob(site["value"]))
+        return total
+
+    def log_joint(self, x, u, args):
+        """Exact log joint density of path (T, d) and unconstrained parameters (k,)."""
+        return self._joint(x, u, args, 0.0)
+
+    def _value(self, x, u, args, temper):
+        return -self._joint(x, u, args, temper)
+
+    def _surrogate(self, moving, x, u, args, temper, robust):
+        """Negative log joint whose Hessian in ``moving`` at x is the Gauss-Newton one.
+
+        Sites whose distribution knows a non-negative curvature of its residual enter by it and by
+        the movement of their ``loc``; everything else enters exactly.
+        """
+        here = self._trace(self.sites(x, u)[0], args)
+        values, total = self.sites(moving, u)
+        for name, site in self._trace(values, args).items():
+            if site["type"] != "sample":
+                continue
+            fn = site["fn"]
+            base, mask = _unwrap(fn)
+            scale = 1.0 if site["scale"] is None else site["scale"]
+            if site["is_observed"] and hasattr(base, "curvature"):
+                fixed = _unwrap(here[name]["fn"])[0].widened(temper)
+                curvature = jnp.where(
+                    robust,
+                    fixed.robust_curvature(site["value"]),
+                    fixed.curvature(site["value"]),
+                )
+                if mask is not None:
+                    curvature = jnp.where(mask, curvature, 0.0)
+                total -= 0.5 * jnp.sum(scale * curvature * (base.loc - fixed.loc) ** 2)
+            else:
+                total += jnp.sum(scale * fn.log_prob(site["value"]))
+        return -total
+
+    # -- derivatives ----------------------------------------------------------------------------
+
+    def _band(self, gradient, x):
+        """Hessian of ``gradient``'s function at x as a lower band matrix (2 d, T d)."""
+        length, d = x.shape
+        _, push = jax.linearize(gradient, x)
+        probes = np.zeros((3, d, length, d))
+        for colour in range(3):
+            for j in range(d):
+                probes[colour, j, colour::3, j] = 1.0
+        pushed = jax.vmap(jax.vmap(push))(jnp.asarray(probes))
+        t = np.arange(length)
+        diagonal = pushed[t % 3, :, t]  # (T, j, i)
+        below = pushed[t[:-1] % 3, :, t[1:]]
+        below = jnp.concatenate([below, jnp.zeros((1, d, d))])
+        both = jnp.concatenate([diagonal, below], axis=2)  # (T, j, 2 d): column j, row offset
+        reach = np.arange(d)[:, None] + np.arange(2 * d)[None]
+        band = both[:, np.arange(d)[:, None], np.minimum(reach, 2 * d - 1)]
+        band = jnp.where(reach < 2 * d, band, 0.0)
+        return band.reshape(length * d, 2 * d).T
+
+    def _robust_terms(self, x, u, args, temper, robust):
+        value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
+        slope = jax.grad(self._surrogate)
+        band = self._band(lambda m: slope(m, x, u, args, temper, robust), x)
+        return value, gradient, band
+
+    def _exact_terms(self, x, u, args, temper):
+        slope = jax.grad(self._value)
+        value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
+        return value, gradient, self._band(lambda m: slope(m, u, args, temper), x)
+
+    def _cross(self, x, u, args):
+        """Gradient in u and the mixed derivative d2 / dx du (k, T, d) of the negative log joint."""
+        both = jax.grad(self._value, argnums=(0, 1))
+
+        def along(direction):
+            return jax.jvp(lambda v: both(x, v, args, 0.0), (u,), (direction,))
+
+        (_, gradient), (mixed, _) = jax.vmap(along)(jnp.eye(self.k))
+        return gradient[0], mixed
+
+    # -- what the user sees -----------------------------------------------------------------------
+
+    def _natural(self, x, u, args):
+        """All latent and deterministic sites in natural space."""
+        values, _ = self.sites(x, u)
+        for name, site in self._trace(values, args).items():
+            if site["type"] == "deterministic":
+                values[name] = site["value"]
+        return values
+
+    def _pointwise(self, x, u, args):
+        """Of each observed site: log density, p_direct and residual where the law knows them."""
+        values, _ = self.sites(x, u)
+        out = {}
+        for name, site in self._trace(values, args).items():
+            if site["type"] != "sample" or not site["is_observed"]:
+                continue
+            base, mask = _unwrap(site["fn"])
+            out[name] = {"log_likelihood": base.log_prob(site["value"])}
+            if hasattr(base, "p_direct"):
+                out[name]["p_direct"] = base.p_direct(site["value"])
+                out[name]["residual"] = site["value"] - base.loc
+            if mask is not None:
+                out[name]["mask"] = mask
+        return out
+
+
+def _is_identity(transform) -> bool:
+    from numpyro.distributions.transforms import IdentityTransform, IndependentTransform
+
+    while isinstance(transform, IndependentTransform):
+        transform = transform.base_transform
+    return isinstance(transform, IdentityTransform)
+
+
+def _signature(args: tuple):
+    """What the structure of a model may depend on: treedef and numbers of dimensions."""
+    leaves, tree = jax.tree_util.tree_flatten(args)
+    return tree, tuple(np.ndim(leaf) for leaf in leaves)
+
+
+def chain_model(model: Callable, options: dict, args: tuple, path: tuple | None = None):
+    """The `ChainModel` of a model, made once per model, options and structure of arguments.
+
+    Its jitted functions take the data as arguments, so every data set of one shape shares one
+    compilation.
+    """
+    key = (model, tuple(sorted(options.items())), path, _signature(args))
+    return _cached(_Key(key, args))
+
+
+class _Key:
+    """Hashable by the structure only; carries the arguments for the first call."""
+
+    def __init__(self, key, args) -> None:
+        self.key, self.args = key, args
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other) -> bool:
+        return self.key == other.key
+
+
+@functools.lru_cache(maxsize=32)
+def _cached(key: _Key) -> ChainModel:
+    model, options, path, _ = key.key
+    made = ChainModel(model, dict(options), key.args, path)
+    key.args = ()
+    return made

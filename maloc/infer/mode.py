@@ -1,0 +1,126 @@
+"""Mode of the path given the parameters: banded Newton steps that survive bad starts.
+
+Where the exact Hessian is not positive definite the Gauss-Newton one, which always is, serves for
+that step only; far from the mode, widened errors and the reweighted curvature (annealing) keep
+single wild arrivals from deciding where the path goes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from maloc.infer._chain import ChainFactor
+from maloc.infer._model import ChainModel
+
+__all__ = ["Mode", "anneal", "find_mode"]
+
+
+class Mode(NamedTuple):
+    """A path at (or near) the maximum: x (T, d), negative log joint, steps taken, converged or not."""
+
+    x: np.ndarray
+    value: float
+    steps: int
+    converged: bool
+
+
+def _factor(band, d: int) -> ChainFactor:
+    """Factor, with the diagonal raised where rounding leaves a Gauss-Newton band indefinite."""
+    band = np.asarray(band)
+    lift = 0.0
+    while True:
+        try:
+            if lift:
+                band = band.copy()
+                band[0] += lift * np.abs(band[0]) + 1e-12
+            return ChainFactor(band, d)
+        except np.linalg.LinAlgError:
+            if lift > 1.0 or not np.isfinite(band).all():
+                raise
+            lift = max(10 * lift, 1e-8)
+
+
+def find_mode(
+    cm: ChainModel,
+    args: tuple,
+    x: np.ndarray,
+    u: np.ndarray,
+    *,
+    temper: float = 0.0,
+    method: str = "exact",
+    max_steps: int = 30,
+    tol: float = 1e-6,
+) -> Mode:
+    """Climb to the mode of the path from `x` with the parameters `u` held.
+
+    Parameters
+    ----------
+    cm : ChainModel
+    args : tuple
+        The model's arguments.
+    x : (T, d) array
+        Start.
+    u : (k,) array
+        Unconstrained parameters.
+    temper : float
+        Arrival errors are widened to at least this (m).
+    method : {"exact", "gauss-newton", "robust"}
+        Curvature: exact Hessian where positive definite, Gauss-Newton, or reweighted least squares.
+    max_steps : int
+        Steps at most.
+    tol : float
+        Stop when the expected gain of a step falls below this (log units).
+
+    Returns
+    -------
+    Mode
+    """
+
+    def terms(x):
+        if method == "exact":
+            return cm.exact(x, u, args, temper)
+        return cm.terms(x, u, args, temper, method == "robust")
+
+    value, gradient, band = terms(x)
+    value = float(value)
+    for step in range(max_steps):
+        gradient = np.asarray(gradient)
+        try:
+            factor = ChainFactor(band, cm.d)
+        except np.linalg.LinAlgError:
+            if method == "exact":
+                band = cm.terms(x, u, args, temper, False)[2]
+            factor = _factor(band, cm.d)
+        move = factor.solve(gradient)
+        gain = float(np.sum(gradient * move))
+        if gain < tol:
+            return Mode(x, value, step, True)
+        size = 1.0
+        while size > 1e-4:
+            trial = x - size * move
+            new, gradient, band = terms(trial)
+            new = float(new)
+            if new < value - 1e-4 * size * gain:
+                break
+            size *= 0.4
+        else:
+            return Mode(x, value, step, gain < 1e-2)
+        x, value = trial, new
+    return Mode(x, value, max_steps, False)
+
+
+def anneal(
+    cm: ChainModel,
+    args: tuple,
+    x: np.ndarray,
+    u: np.ndarray,
+    scales: tuple[float, ...],
+    *,
+    steps: int = 3,
+) -> np.ndarray:
+    """Path after a few reweighted steps at each of the falling error scales (m)."""
+    for scale in scales:
+        x = find_mode(cm, args, x, u, temper=scale, method="robust", max_steps=steps, tol=1e-2).x
+    return x
