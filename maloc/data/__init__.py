@@ -14,7 +14,6 @@ __all__ = [
     "Receivers",
     "Schedule",
     "SetAside",
-    "check",
     "collinear",
     "match_tag",
     "read_detections",
@@ -32,7 +31,6 @@ _HOME = {
     "Receivers": "receivers",
     "Schedule": "arrivals",
     "SetAside": "arrivals",
-    "check": "check",
     "collinear": "receivers",
     "match_tag": "_tags",
     "read_detections": "readers",
@@ -42,12 +40,11 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from maloc.data.check import CheckReport, check
-    from maloc.data.grouping import toa_matrix
-
     from maloc.data._tags import match_tag
     from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
+    from maloc.data.check import CheckReport
     from maloc.data.detections import Detections
+    from maloc.data.grouping import toa_matrix
     from maloc.data.readers import read_detections, read_receivers, read_toa
     from maloc.data.receivers import Receivers, collinear
     from maloc.data.report import Note, ReadReport

@@ -168,7 +168,7 @@ class ArrivalTimes:
         if (np.diff(first) < 0).any():
             i = int(np.flatnonzero(np.diff(first) < 0)[0])
             raise InputError(
-                f"pings are not in time order: {first[i + 1]:g} s after {first[i]:g} s"
+                f"pings are not in time order: {first[i + 1]:.6g} s after {first[i]:.6g} s"
             )
 
     def __len__(self) -> int:

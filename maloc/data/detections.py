@@ -141,15 +141,11 @@ class Detections:
         if isinstance(time.dtype, pl.Datetime):
             if time.dtype.time_zone:
                 time = time.dt.convert_time_zone("UTC")
-            time = (
-                time.dt.timestamp("us") * 1000
-                if time.dtype.time_unit != "ns"
-                else time.dt.timestamp("ns")
-            )
+            time = time.dt.cast_time_unit("ns").to_physical()
         extra = {c: df[c].to_numpy() for c in df.columns if c not in ("time", "receiver", "tag")}
         report = report or ReadReport("dataframe", rows=len(df))
-        ids = [df[c].cast(pl.String).to_numpy() for c in ("receiver", "tag")]
-        return cls(time.to_numpy(), *ids, extra, report)
+        who, which = (np.asarray(df[c].cast(pl.String).to_list(), str) for c in ("receiver", "tag"))
+        return cls(time.to_numpy(), who, which, extra, report)
 
     def to_frame(self) -> pl.DataFrame:
         """Return a polars DataFrame: time (UTC, ns), receiver, tag, and the extra columns."""

@@ -206,7 +206,7 @@ def deployment_problem(
 ) -> tuple[int, str] | None:
     """Return (index, sentence) of the first impossible deployment, None when all is well."""
     for i in np.flatnonzero(end <= start):
-        when = f"ends ({iso(end[i], 0)}) before it starts ({iso(start[i], 0)})"
+        when = f"ends ({iso(int(end[i]), 0)}) before it starts ({iso(int(start[i]), 0)})"
         return int(i), f"deployment of receiver {receiver[i]} {when}"
     order = np.lexsort((start, receiver))
     a, b = order[:-1], order[1:]

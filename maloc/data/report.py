@@ -1,4 +1,4 @@
-"""What was read and every note about it: travels with the data, so that nothing is dropped silently."""
+"""What was read, and every note about it: it travels along, so that no row vanishes silently."""
 
 from __future__ import annotations
 
