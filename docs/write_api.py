@@ -1,0 +1,53 @@
+"""Write docs/api.md from every public package's ``__all__`` and docstrings.
+
+Run it after a public name is added: ``.venv/bin/python docs/write_api.py``. A test compares the page.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from pathlib import Path
+
+import maloc
+
+# Reached through the packages above them: readers through maloc.data, the command line in cli.md.
+ELSEWHERE = {"maloc.cli", "maloc.data.readers"}
+HEAD = """# Python names
+
+Every public name, by the module to import it from; the docstring has shapes, units and what is raised.
+This page is written by `docs/write_api.py`.
+"""
+
+
+def modules() -> list[str]:
+    """Return ``maloc``, its public packages and its public top-level modules."""
+    found = ["maloc"]
+    for info in pkgutil.walk_packages(maloc.__path__, "maloc."):
+        private = any(part.startswith("_") for part in info.name.split("."))
+        if not private and (info.ispkg or info.name.count(".") == 1):
+            found.append(info.name)
+    return [m for m in sorted(found) if m not in ELSEWHERE]
+
+
+def sentence(value: object) -> str:
+    """Return the first paragraph of a docstring as one line."""
+    own = inspect.ismodule(value) or inspect.isclass(value) or callable(value)
+    text = inspect.getdoc(value) if own else f"A {type(value).__name__}."
+    return " ".join((text or "").split("\n\n")[0].split()).replace("|", "\\|")
+
+
+def page() -> str:
+    """Return the whole page."""
+    parts = [HEAD]
+    for name in modules():
+        module = importlib.import_module(name)
+        if names := sorted(getattr(module, "__all__", []), key=str.lower):
+            rows = [f"| `{n}` | {sentence(getattr(module, n))} |" for n in names]
+            parts.append("\n".join([f"## `{name}`", "", "| name | |", "|---|---|", *rows, ""]))
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("api.md").write_text(page(), encoding="utf-8")
