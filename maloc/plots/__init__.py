@@ -1,0 +1,56 @@
+"""Figures: one function a figure, each takes optional axes and returns them.
+
+matplotlib is imported by the first figure that is drawn, not before.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+__all__ = [
+    "diagnostics",
+    "draw_map",
+    "heard",
+    "intervals",
+    "parameters",
+    "paths",
+    "residuals",
+    "spread",
+    "trace",
+    "track",
+]
+
+_HOME = {
+    "diagnostics": "_diagnostics",
+    "draw_map": "_map",
+    "heard": "_diagnostics",
+    "intervals": "_diagnostics",
+    "parameters": "_diagnostics",
+    "paths": "_residuals",
+    "residuals": "_residuals",
+    "spread": "_diagnostics",
+    "trace": "_diagnostics",
+    "track": "_track",
+}
+
+if TYPE_CHECKING:
+    from maloc.plots._diagnostics import (
+        diagnostics,
+        heard,
+        intervals,
+        parameters,
+        spread,
+        trace,
+    )
+    from maloc.plots._map import draw_map
+    from maloc.plots._residuals import paths, residuals
+    from maloc.plots._track import track
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first asked for (PEP 562)."""
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value

@@ -1,0 +1,304 @@
+"""From files to arrival times: read, synchronise, group; what cannot give a track is refused."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from maloc._log import Log
+from maloc.errors import InputError
+
+if TYPE_CHECKING:
+    from maloc.data import ArrivalTimes, Detections, Receivers, Schedule
+    from maloc.sync import ClockSync
+
+__all__ = ["Source", "TrackOptions", "check_usable", "check_whole_seconds", "load", "sync_tags"]
+
+NS = 1_000_000_000
+FEWEST = 3  # usable pings
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """Everything that `maloc track` was asked for; written into summary.json."""
+
+    detections: tuple[Path, ...] = ()
+    toa: Path | None = None
+    receivers: Path = Path()
+    tags: tuple[str, ...] = ()
+    sync: str = "auto"
+    reference: str | None = None
+    model: str = "toa"
+    movement: str = "ctcrw"
+    error: str = "ddetect"
+    interval: tuple[float, float] | None = None
+    interval_stable: tuple[float, float] | None = None
+    sound_speed: str | None = None
+    method: str = "laplace"
+    ignore_columns: tuple[str, ...] = ()
+    crs: str | None = None
+    draws: int = 1000
+    chains: int = 2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if bool(self.detections) == (self.toa is not None):
+            raise InputError(
+                "no input" if self.toa is None else "both files of detections and --toa were given",
+                mend="give either files of detections or --toa TOA",
+            )
+        if self.interval and self.interval_stable:
+            raise InputError("--interval and --interval-stable exclude one another")
+        for name in ("draws", "chains"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.toa is not None and (self.sync not in ("auto", "none") or self.reference):
+            raise InputError("--toa is on one clock already", mend="leave --sync out")
+        if self.detections and self.ignore_columns:
+            raise InputError("--ignore-columns goes with --toa only")
+        self.schedule()
+        self.speed()
+
+    def schedule(self) -> Schedule:
+        """What is known of the burst interval."""
+        from maloc.data import Schedule
+
+        if self.interval:
+            return Schedule("random", *self.interval)
+        if self.interval_stable:
+            return Schedule("stable", *self.interval_stable)
+        return Schedule()
+
+    def speed(self) -> float:
+        """The sound speed given, m/s; NaN where none was, or where it is to be estimated."""
+        if self.sound_speed in (None, "estimated"):
+            return nan
+        try:
+            speed = float(str(self.sound_speed))
+        except ValueError:
+            speed = nan
+        if not 1300.0 <= speed <= 1700.0:
+            raise InputError(
+                f"--sound-speed {self.sound_speed} is no speed of sound in water, 1300 to 1700 m/s",
+                mend="give m/s, or 'estimated'",
+            )
+        return speed
+
+    def record(self) -> dict[str, Any]:
+        """The options as plain values."""
+        return {k: v for k, v in asdict(self).items()}
+
+
+class Source(NamedTuple):
+    """What was read: one `ArrivalTimes` a tag, and how it came about."""
+
+    toas: list[ArrivalTimes]
+    receivers: Receivers
+    detections: Detections | None
+    sync: ClockSync | None
+    skipped: dict[str, str]  # tags that cannot be positioned, and why
+
+
+# -- reading ------------------------------------------------------------------------------------
+
+
+def load(options: TrackOptions, log: Log) -> Source:
+    """Read the input and bring it to arrival times, one matrix a tag.
+
+    Raises
+    ------
+    InputError
+        If anything in the input makes positions impossible.
+    """
+    from maloc.data import read_receivers
+
+    with log.stage("read"):
+        receivers = read_receivers(options.receivers, crs=options.crs)
+        log.report(receivers.report)
+        if len(receivers.names) < 2:
+            raise InputError(
+                f"{len(receivers.names)} receiver: positions need at least 3",
+                file=options.receivers,
+            )
+    if options.toa is not None:
+        return _load_toa(options, receivers, log)
+    return _load_detections(options, receivers, log)
+
+
+def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
+    from maloc.data import read_toa
+
+    assert options.toa is not None
+    with log.stage("read"):
+        given = options.speed()
+        toas = [
+            read_toa(
+                options.toa,
+                receivers,
+                ignore_columns=options.ignore_columns,
+                sound_speed=None if np.isnan(given) else given,
+                schedule=options.schedule(),
+                tag=tag,
+            )
+            for tag in (dict.fromkeys(options.tags) or [None])
+        ]
+        for toa in toas:
+            log.report(toa.report)
+            check_usable(toa, receivers, options.toa)
+    return Source(toas, receivers, None, None, {})
+
+
+def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
+    from maloc.data import read_detections, toa_matrix
+
+    with log.stage("read"):
+        detections = read_detections(*options.detections)
+        log.report(detections.report)
+        if not len(detections):
+            raise InputError("no detections", file=", ".join(map(str, options.detections)))
+        tags = _tags(options, detections, receivers)
+        for tag in tags:
+            check_whole_seconds(detections.select(tag), options.detections)
+        unknown = ~np.isin(detections.receiver, receivers.names)
+        for name in np.unique(detections.receiver[unknown]):
+            n = int((detections.receiver == name).sum())
+            log.warn(f"receiver {name} is not in {options.receivers}: its {n} detections set aside")
+    with log.stage("sync"):
+        sync = _sync(options, detections, receivers, log)
+        place = receivers if sync is None else sync.receivers
+        common = detections if sync is None else sync.apply(detections)
+        log.report(common.report)
+    speed = options.speed()
+    if np.isnan(speed):
+        speed = 1500.0 if sync is None else sync.sound_speed
+        if sync is None and options.sound_speed is None:
+            log.warn("no sound speed given: 1500 m/s taken; give --sound-speed C or estimated")
+    toas, skipped = [], {}
+    with log.stage("group"):
+        for tag in tags:
+            try:
+                if tag not in common.tags:
+                    raise InputError(f"tag {tag}: no detection is left on the common clock")
+                toa = toa_matrix(common, place, tag, sound_speed=speed, schedule=options.schedule())
+                check_usable(toa, receivers)
+            except InputError as problem:
+                if options.tags or len(tags) == 1:
+                    raise
+                skipped[tag] = str(problem)
+                log.warn(f"{problem}; skipped")
+                continue
+            log.report(toa.report)
+            toas.append(toa)
+    if not toas:
+        raise InputError(f"none of {len(tags)} tags can be positioned", mend="name one with --tag")
+    return Source(toas, receivers, detections, sync, skipped)
+
+
+def _tags(options: TrackOptions, detections: Detections, receivers: Receivers) -> list[str]:
+    """Full ids of the tags to fit: those named, or all that are not sync tags."""
+    if options.tags:
+        return list(dict.fromkeys(detections.find_tag(t) for t in options.tags))
+    sync = sync_tags(detections, receivers)
+    tags = [t for t in detections.tags if t not in sync]
+    if not tags:
+        raise InputError("all tags in the detections are sync tags", mend="name one with --tag")
+    return tags
+
+
+def sync_tags(detections: Detections, receivers: Receivers) -> set[str]:
+    """Full ids of the sync tags that are among the detections."""
+    wanted = {str(s) for s in receivers.sync_tag if s}
+    return {t for t in detections.tags if any(t == s or t.endswith(f"-{s}") for s in wanted)}
+
+
+def _sync(
+    options: TrackOptions, detections: Detections, receivers: Receivers, log: Log
+) -> ClockSync | None:
+    if options.sync == "none":
+        return None
+    if options.sync != "auto":
+        from maloc.sync import ClockSync
+
+        return ClockSync.from_netcdf(options.sync)
+    if not sync_tags(detections, receivers):
+        log.notice("no sync tags: times taken as already on one clock")
+        return None
+    from maloc.sync import fit
+
+    given = options.speed()
+    sync = fit(
+        detections,
+        receivers,
+        sound_speed=None if np.isnan(given) else given,
+        reference=options.reference,
+    )
+    for note in sync.notes:
+        (log.notice if note.level == "info" else log.warn)(note.text)
+    log.notice(repr(sync))
+    return sync
+
+
+# -- refusing -----------------------------------------------------------------------------------
+
+
+def check_whole_seconds(detections: Detections, files: Any) -> None:
+    """Refuse times without a fraction of a second, of all receivers or of one.
+
+    Raises
+    ------
+    InputError
+        1 s is 1500 m: such times tell nothing about positions.
+    """
+    whole = detections.time % NS == 0
+    mend = "export again with fractions of a second"
+    where = ", ".join(map(str, files))
+    if len(whole) > 2 and whole.all():
+        raise InputError("times are whole seconds: useless for positions", file=where, mend=mend)
+    for name in detections.receivers:
+        mine = detections.receiver == name
+        if mine.sum() > 4 and whole[mine].all():
+            raise InputError(
+                f"times of receiver {name} are whole seconds: useless for positions",
+                file=where,
+                mend=mend,
+            )
+
+
+def check_usable(toa: ArrivalTimes, receivers: Receivers, file: Path | None = None) -> None:
+    """Refuse arrival times that cannot give a track.
+
+    Raises
+    ------
+    InputError
+        If one receiver alone heard the tag, fewer than three pings were heard by two receivers, or
+        the arrival times are whole seconds.
+    """
+    name = f"tag {toa.tag}: " if toa.tag else ""
+    heard = toa.heard
+    names = {str(toa.receivers.receiver[j]) for j in np.flatnonzero(heard.any(0))}
+    if not heard.any():
+        raise InputError(f"{name}no detections", file=file)
+    if len(names) < 2 or len(np.unique(toa.receivers.xy[heard.any(0)], axis=0)) < 2:
+        raise InputError(
+            f"{name}only 1 receiver ({', '.join(sorted(names))}) heard it: "
+            "positions need at least 3 receivers",
+            file=file,
+        )
+    usable = int((toa.n_heard >= 2).sum())
+    if usable < FEWEST:
+        raise InputError(
+            f"{name}{usable} usable ping{'s' * (usable != 1)} (heard by two receivers or more); "
+            f"a track needs at least {FEWEST}",
+            file=file,
+        )
+    seconds = toa.toa[heard] + (0.0 if toa.origin is None else (toa.origin % NS) / NS)
+    if len(seconds) > 2 and (np.abs(seconds - np.round(seconds)) < 1e-9).all():
+        raise InputError(
+            f"{name}arrival times are whole seconds: useless for positions",
+            file=file,
+            mend="give them with fractions of a second",
+        )

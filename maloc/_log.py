@@ -1,0 +1,81 @@
+"""What a command says while it runs, and what it remembers of it for summary.json."""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from maloc.errors import MalocWarning
+
+__all__ = ["Log"]
+
+
+class Log:
+    """Notices and warnings on stderr, each once, and seconds by stage.
+
+    Parameters
+    ----------
+    quiet : bool
+        Say nothing but warnings.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.quiet = quiet
+        self.notices: list[str] = []
+        self.warnings: list[str] = []
+        self.seconds: dict[str, dict[str, float]] = {}
+
+    def notice(self, text: str) -> None:
+        """Say something on stderr, unless quiet."""
+        if text not in self.notices:
+            self.notices.append(text)
+            if not self.quiet:
+                print(f"maloc: {text}", file=sys.stderr)
+
+    def warn(self, text: str) -> None:
+        """Warn on stderr, quiet or not."""
+        text = " ".join(text.split())
+        if text not in self.warnings:
+            self.warnings.append(text)
+            print(f"maloc: warning: {text}", file=sys.stderr)
+
+    def report(self, report: Any) -> None:
+        """Pass on a `ReadReport`'s notes, the ones of level "info" as notices."""
+        for note in report.notes:
+            text = note.text if note.file is None else f"{note.file}: {note.text}"
+            (self.notice if note.level == "info" else self.warn)(text)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add wall and CPU seconds of what happens inside to stage `name`."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            yield
+        finally:
+            self.add(name, time.perf_counter() - wall, time.process_time() - cpu)
+
+    def add(self, name: str, wall: float, cpu: float) -> None:
+        """Add seconds to a stage."""
+        entry = self.seconds.setdefault(name, {"wall": 0.0, "cpu": 0.0})
+        entry["wall"] += wall
+        entry["cpu"] += cpu
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Take `MalocWarning`s raised inside as warnings of the command."""
+        with warnings.catch_warnings():
+            usual = warnings.showwarning
+
+            def show(message, category, filename, lineno, file=None, line=None):
+                if issubclass(category, MalocWarning):
+                    self.warn(str(message))
+                else:
+                    usual(message, category, filename, lineno, file, line)
+
+            warnings.simplefilter("always", MalocWarning)
+            warnings.showwarning = show
+            yield

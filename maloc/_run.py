@@ -1,0 +1,199 @@
+"""What `maloc track` and `maloc sync` do, from options to a finished folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maloc._folder import check_free, output_folder
+from maloc._load import TrackOptions, load
+from maloc._log import Log
+from maloc._mirror import Line, mirror_line
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from maloc.data import ArrivalTimes, Receivers
+    from maloc.sync import ClockSync
+
+__all__ = ["Fitted", "fit_tag", "run_sync", "run_track"]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted tag: its arrival times, the fit, the table of track.csv, the mirror line."""
+
+    toa: ArrivalTimes
+    fit: Any
+    table: pl.DataFrame
+    line: Line | None = None
+
+
+def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log: Log) -> Fitted:
+    """Fit one tag's track.
+
+    Parameters
+    ----------
+    toa : ArrivalTimes
+        Checked by `load`.
+    options : TrackOptions
+        What to fit, and how.
+    receivers : Receivers
+        As given, to see whether they stand on one line.
+    log : Log
+        Takes warnings and seconds.
+
+    Raises
+    ------
+    FitError
+        If the fit fails.
+    """
+    from maloc import infer, models
+    from maloc.infer.track import track_table
+
+    heard = np.unique(toa.receivers.receiver[toa.heard.any(0)])
+    line = mirror_line(receivers, np.isin(receivers.receiver, heard))
+    if line is not None:
+        log.warn(
+            f"tag {toa.tag or '(no name)'}: the receivers that heard it stand on one line: every "
+            "position has a mirror image that fits as well (mirror_x, mirror_y in track.csv)"
+        )
+    how: dict[str, Any] = {
+        "movement": options.movement,
+        "error": options.error,
+        "sound_speed": "estimated" if options.sound_speed == "estimated" else "given",
+    }
+    with log.stage("fit"):
+        if options.method == "laplace":
+            fit = infer.laplace(models.toa_track, toa, **how)
+        else:
+            from maloc._jax import jax
+
+            fit = infer.nuts(
+                jax.random.key(options.seed),
+                models.toa_track,
+                toa,
+                method=options.method,
+                chains=options.chains,
+                draws=options.draws,
+                progress=not log.quiet,
+                **how,
+            )
+    for name, spent in fit.seconds.items():
+        log.add(f"fit: {name}", spent["wall"], spent["cpu"])
+    for text in fit.warnings:
+        log.warn(f"tag {toa.tag}: {text}" if toa.tag else text)
+    with log.stage("tables"):
+        table = track_table(fit, toa)
+    return Fitted(toa, fit, table, line)
+
+
+def run_track(
+    options: TrackOptions, out: Path, *, force: bool = False, quiet: bool = False
+) -> list[str]:
+    """Do all of `maloc track`; nothing is written unless everything worked.
+
+    Returns
+    -------
+    list of str
+        One line a tag: what was found.
+
+    Raises
+    ------
+    InputError
+        Bad input, or `out` is taken.
+    FitError
+        A fit failed.
+    """
+    check_free(out, force)
+    log = Log(quiet)
+    with log.listening():
+        source = load(options, log)
+        fitted = [fit_tag(toa, options, source.receivers, log) for toa in source.toas]
+        with output_folder(out, force) as folder:
+            from maloc._write import write_track
+
+            write_track(folder, fitted, source, options, log)
+    return [_line(f) for f in fitted]
+
+
+def _line(fitted: Fitted) -> str:
+    toa = fitted.toa
+    sd = fitted.table.filter(fitted.table["heard"]).select("sd_x", "sd_y").to_numpy()
+    return (
+        f"{toa.tag or 'track'}: {len(fitted.table)} pings ({int((toa.n_heard > 0).sum())} heard), "
+        f"{int(toa.heard.sum())} arrivals used, {len(toa.set_aside)} set aside, "
+        f"median sd {np.median(sd):.2f} m"
+    )
+
+
+def run_sync(
+    detections: Sequence[Path],
+    receivers: Path,
+    out: Path,
+    reference: str | None = None,
+    sound_speed: float | None = None,
+    crs: str | None = None,
+    seed: int = 0,
+    *,
+    force: bool = False,
+    quiet: bool = False,
+) -> ClockSync:
+    """Do all of `maloc sync`; nothing is written unless everything worked.
+
+    Raises
+    ------
+    InputError
+        Bad input, or `out` is taken.
+    FitError
+        The clocks could not be aligned.
+    """
+    check_free(out, force)
+    log = Log(quiet)
+    with log.listening():
+        from maloc import _output
+        from maloc.data import read_detections, read_receivers
+        from maloc.sync import fit
+
+        with log.stage("read"):
+            table = read_receivers(receivers, crs=crs)
+            log.report(table.report)
+            raw = read_detections(*detections)
+            log.report(raw.report)
+        with log.stage("sync"):
+            sync = fit(raw, table, sound_speed=sound_speed, reference=reference)
+        for note in sync.notes:
+            (log.notice if note.level == "info" else log.warn)(note.text)
+        with output_folder(out, force) as folder:
+            with log.stage("write"):
+                sync.write(folder, raw)
+            _output.write_json(
+                {
+                    "command": "sync",
+                    "versions": _output.versions(),
+                    "seed": seed,
+                    "options": {
+                        "detections": [str(p) for p in detections],
+                        "receivers": str(receivers),
+                        "reference": reference,
+                        "sound_speed": sound_speed,
+                        "crs": crs,
+                    },
+                    "read": {
+                        "detections": len(raw),
+                        "format": raw.report.format,
+                        "files": list(raw.report.files),
+                        "receivers": len(table),
+                    },
+                    "sync": _output.sync_record(sync),
+                    "warnings": log.warnings,
+                    "notices": log.notices,
+                    "seconds": log.seconds,
+                },
+                folder / "summary.json",
+            )
+    return sync

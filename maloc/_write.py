@@ -1,0 +1,203 @@
+"""What `maloc track` leaves in its folder: tables, draws, figures, summary.json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maloc import _output
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from maloc._load import Source, TrackOptions
+    from maloc._log import Log
+    from maloc._run import Fitted
+
+__all__ = ["file_name", "sampler_health", "summary", "write_track"]
+
+PNG = {"dpi": 110, "pil_kwargs": {"compress_level": 1}}  # quick to write; a little larger
+
+
+def write_track(
+    folder: Path, fitted: Sequence[Fitted], source: Source, options: TrackOptions, log: Log
+) -> None:
+    """Write all files of a finished `maloc track` into an empty folder.
+
+    Tables hold all tags, one after the other. Draws and diagnostics are one file a tag where there
+    are several: ``posterior_<tag>.nc``, ``diagnostics_<tag>.png``.
+    """
+    import polars as pl
+
+    with log.stage("tables"):
+        tracks = [_output.finish_track(f.table, source.receivers, f.line) for f in fitted]
+        arrivals = [_output.arrivals_table(f.fit, f.toa) for f in fitted]
+        parameters = [_output.parameters_table(f.fit, f.toa.tag) for f in fitted]
+        for name, parts in (("track", tracks), ("arrivals", arrivals), ("parameters", parameters)):
+            _output.write_table(pl.concat(parts, how="diagonal_relaxed"), folder / f"{name}.csv")
+    several = len(fitted) > 1
+    with log.stage("posterior"):
+        for f in fitted:
+            path = folder / file_name("posterior", f.toa.tag, several, "nc")
+            f.fit.to_datatree().to_netcdf(path, engine="h5netcdf")
+    with log.stage("figures"):
+        from matplotlib.figure import Figure
+
+        map_figure(Figure, fitted, tracks, source).savefig(folder / "map.png", **PNG)
+        for f, table in zip(fitted, tracks, strict=True):
+            path = folder / file_name("diagnostics", f.toa.tag, several, "png")
+            diagnostics_figure(Figure, f, table).savefig(path, **PNG)
+    _output.write_json(summary(fitted, source, options, log), folder / "summary.json")
+
+
+def file_name(stem: str, tag: str, several: bool, end: str) -> str:
+    """Return "posterior.nc", or "posterior_A69-1602-15266.nc" where there are several tags."""
+    safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in tag)
+    return f"{stem}_{safe}.{end}" if several else f"{stem}.{end}"
+
+
+# -- figures --------------------------------------------------------------------------------------
+
+
+def map_figure(
+    figure_type: type[Figure], fitted: Sequence[Fitted], tracks: Sequence[Any], source: Source
+) -> Figure:
+    """Draw all tags on one map; its shape follows the array's and the tracks'."""
+    from maloc.plots._style import CYCLE
+    from maloc.plots._track import track
+
+    figure = figure_type(figsize=(8.0, 8.0))
+    ax = figure.add_axes((0.1, 0.08, 0.87, 0.82))
+    several = len(fitted) > 1
+    for i, (f, table) in enumerate(zip(fitted, tracks, strict=True)):
+        tag = f.toa.tag or "track"
+        track(
+            table,
+            source.receivers if i == 0 else None,
+            label=tag if several else "posterior mean, 95 % ellipses",
+            colour=CYCLE[i % len(CYCLE)] if several else None,
+            ax=ax,
+        )
+    names = ", ".join(f.toa.tag for f in fitted if f.toa.tag)
+    figure.text(0.1, 0.965, names[:90] or "Track", fontsize=12, fontweight="bold")
+    mirrored = any(f.line is not None for f in fitted)
+    note = "Receivers on one line: the mirror image fits as well. " if mirrored else ""
+    figure.text(0.1, 0.945, note, fontsize=9, color="#B04000")
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, frameon=False, fontsize=8)
+    # the page follows the map: no empty band above or below a long array
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    ratio = float(np.clip((y1 - y0) / (x1 - x0), 0.35, 1.6))
+    figure.set_size_inches(8.0, 8.0 * 0.87 * ratio + 1.4)
+    height = figure.get_size_inches()[1]
+    ax.set_position((0.1, 0.6 / height, 0.87, 1 - 1.4 / height))
+    for text, up in zip(figure.texts, (0.25, 0.47), strict=True):
+        text.set_y(1 - up / height)
+    return figure
+
+
+def diagnostics_figure(figure_type: type[Figure], fitted: Fitted, table: Any) -> Figure:
+    """Draw the six panels of one tag."""
+    from maloc.plots._diagnostics import diagnostics
+
+    figure = figure_type(figsize=(14.0, 8.0))
+    names = fitted.toa.receivers.labels
+    title = f"{fitted.toa.tag or 'Track'}  ({fitted.fit.method})"
+    diagnostics(fitted.fit, table, names, title=title, figure=figure)
+    return figure
+
+
+# -- summary --------------------------------------------------------------------------------------
+
+
+def summary(
+    fitted: Sequence[Fitted], source: Source, options: TrackOptions, log: Log
+) -> dict[str, Any]:
+    """Return what summary.json holds."""
+    read: dict[str, Any] = {"receivers": len(source.receivers)}
+    if source.detections is not None:
+        report = source.detections.report
+        read |= {
+            "detections": len(source.detections),
+            "format": report.format,
+            "files": list(report.files),
+            "tags": list(source.detections.tags),
+        }
+    else:
+        read |= {
+            "detections": int(sum(f.toa.heard.sum() + len(f.toa.set_aside) for f in fitted)),
+            "format": "TOA matrix",
+            "files": [str(options.toa)],
+        }
+    out: dict[str, Any] = {
+        "command": "track",
+        "versions": _output.versions(),
+        "seed": options.seed,
+        "options": options.record(),
+        "read": read,
+        "sync": None if source.sync is None else _output.sync_record(source.sync),
+        "tags": {f.toa.tag or "track": _tag_summary(f) for f in fitted},
+        "skipped_tags": source.skipped,
+        "mirror": _mirror_summary(fitted),
+        "warnings": log.warnings,
+        "notices": log.notices,
+        "seconds": log.seconds,
+    }
+    total = [v for k, v in log.seconds.items() if not k.startswith("fit: ")]
+    out["seconds_total"] = {k: sum(v[k] for v in total) for k in ("wall", "cpu")}
+    return out
+
+
+def _tag_summary(fitted: Fitted) -> dict[str, Any]:
+    toa, fit = fitted.toa, fitted.fit
+    direct = np.asarray(fit.p_direct(), float)[toa.heard[toa.n_heard > 0]]
+    return {
+        "pings": toa.n_pings,
+        "heard": int((toa.n_heard > 0).sum()),
+        "unheard": int((toa.n_heard == 0).sum()),
+        "rows_in_track": len(fitted.table),
+        "receivers": [str(n) for n in np.array(toa.receivers.labels)[toa.heard.any(0)]],
+        "receivers_that_heard_nothing": [
+            str(n) for n in np.array(toa.receivers.labels)[~toa.heard.any(0)]
+        ],
+        "arrivals_used": int(toa.heard.sum()),
+        "arrivals_late": int((direct < 0.5).sum()),
+        "set_aside": _output.counts(toa.set_aside.why),
+        "sound_speed": float(np.mean(toa.sound_speed)),
+        "schedule": {"kind": toa.schedule.kind, "lo": toa.schedule.lo, "hi": toa.schedule.hi},
+        "method": fit.method,
+        "sampler": sampler_health(fit),
+        "notes": [str(n) for n in toa.report.notes],
+        "warnings": list(fit.warnings),
+    }
+
+
+def sampler_health(fit: Any) -> dict[str, Any] | None:
+    """Worst R-hat and effective sample sizes over the parameters; None where nothing sampled."""
+    if fit.method == "laplace":
+        return None
+    rows = fit.parameters()
+
+    def worst(name: str, pick: Any) -> float | None:
+        values = [r[name] for r in rows if r.get(name) is not None and np.isfinite(r[name])]
+        return pick(values) if values else None
+
+    return {
+        "r_hat": worst("r_hat", max),
+        "ess_bulk": worst("ess_bulk", min),
+        "ess_tail": worst("ess_tail", min),
+        **{k: v for k, v in getattr(fit, "health", {}).items()},
+    }
+
+
+def _mirror_summary(fitted: Sequence[Fitted]) -> dict[str, Any] | None:
+    lines = {f.toa.tag or "track": f.line for f in fitted if f.line is not None}
+    if not lines:
+        return None
+    return {
+        "meaning": "the receivers that heard the tag stand on one line: each position has a "
+        "mirror image that fits as well, given as mirror_x, mirror_y in track.csv",
+        "lines": {tag: {"point": v.point, "direction": v.direction} for tag, v in lines.items()},
+    }

@@ -1,0 +1,274 @@
+"""The command line: parse, call, write. Heavy imports happen inside the commands."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer.core import TyperGroup
+
+from maloc.errors import FitError, InputError
+
+__all__ = ["app", "main"]
+
+BAD_INPUT, FAILED_FIT = 2, 1
+
+
+class OneLineGroup(TyperGroup):
+    """Commands whose every failure is one line on stderr and an exit code."""
+
+    def main(self, *args: Any, standalone_mode: bool = True, **kwargs: Any) -> Any:
+        """Run, and turn usage errors into one line and exit code 2."""
+        try:
+            code = super().main(*args, standalone_mode=False, **kwargs)
+        except Exception as problem:
+            text = getattr(problem, "format_message", None)
+            if text is None:
+                raise
+            context = getattr(problem, "ctx", None)
+            name = context.command_path if context is not None else "maloc"
+            code = _fail(f"{text().rstrip('.')} (see {name} --help)", BAD_INPUT)
+        if standalone_mode:
+            sys.exit(code if isinstance(code, int) else 0)
+        return code
+
+
+def _fail(text: object, code: int) -> int:
+    print(f"maloc: error: {' '.join(str(text).split())}", file=sys.stderr)
+    return code
+
+
+def _explained(command: Callable) -> Callable:
+    """Wrap a command so that explained failures are one line and an exit code."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except InputError as problem:
+            raise typer.Exit(_fail(problem, BAD_INPUT)) from None
+        except FitError as problem:
+            raise typer.Exit(_fail(problem, FAILED_FIT)) from None
+
+    return run
+
+
+app = typer.Typer(
+    cls=OneLineGroup,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    invoke_without_command=True,
+    help="Where tagged animals were: tracks with honest uncertainty from acoustic receivers.",
+)
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but warnings.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an earlier output folder.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Same input and seed, same output.")]
+Crs = Annotated[
+    str | None,
+    typer.Option("--crs", help="Frame of the receivers' x, y (EPSG:n), or the one to project to."),
+]
+
+
+@app.callback()
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
+) -> None:
+    if version:
+        from maloc import __version__
+
+        typer.echo(f"maloc {__version__}")
+        raise typer.Exit()
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command()
+@_explained
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Files of detections, receivers, or TOA.")],
+    receivers: Annotated[Path | None, typer.Option(help="The table of receivers.")] = None,
+) -> None:
+    """Say what files hold: format, span, tags, receivers, and every problem found.
+
+    Exit code 0 when nothing stands in the way, 2 when an error does.
+    """
+    from maloc.data.check import check as check_files
+
+    found = check_files(files, receivers)
+    typer.echo(str(found))
+    if not found.ok:
+        first = found.errors[0]
+        more = f" (and {len(found.errors) - 1} more)" if len(found.errors) > 1 else ""
+        raise typer.Exit(_fail(f"{first}{more}", BAD_INPUT))
+
+
+@app.command()
+@_explained
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder to write.")],
+    scenario: Annotated[Literal["canal", "grid", "line"], typer.Option(help="Array.")] = "grid",
+    pings: Annotated[int, typer.Option(min=1, help="Pings of the animal's tag.")] = 250,
+    interval: Annotated[
+        tuple[float, float], typer.Option(metavar="MIN MAX", help="Burst interval, s.")
+    ] = (20.6, 36.6),
+    missing: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of arrivals that nobody heard.")
+    ] = 0.3,
+    late: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of arrivals by a reflected path.")
+    ] = 0.06,
+    seed: Seed = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate an array: detections.csv, receivers.csv, truth.csv, toa.csv.
+
+    Detections are raw, on drifting clocks; toa.csv has the same on the true clock.
+    """
+    from maloc._folder import check_free
+
+    check_free(out, force)
+    import numpy as np
+
+    from maloc.data import Schedule
+    from maloc.simulate import Hearing
+    from maloc.simulate import simulate as simulate_study
+
+    study = simulate_study(
+        np.random.default_rng(seed),
+        scenario,
+        pings,
+        schedule=Schedule("random", *interval),
+        hearing=Hearing(p_na=missing, p_mp=late),
+    )
+    study.write(out, force)
+    if not quiet:
+        typer.echo(f"{study!r}\nwritten to {out}")
+
+
+@app.command()
+@_explained
+def sync(
+    detections: Annotated[list[Path], typer.Argument(help="Files of raw detections.")],
+    receivers: Annotated[Path, typer.Option(help="The table of receivers, with sync tags.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    reference: Annotated[
+        str | None, typer.Option(help="Receiver whose clock is the common time.")
+    ] = None,
+    sound_speed: Annotated[
+        float | None, typer.Option(min=1300, max=1700, help="m/s; estimated when left out.")
+    ] = None,
+    crs: Crs = None,
+    seed: Seed = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Synchronise the receivers' clocks by their sync tags.
+
+    Writes sync.nc, detections_synced.parquet, receivers_fitted.csv, residuals.csv, figures and
+    summary.json.
+    """
+    from maloc._run import run_sync
+
+    found = run_sync(
+        detections, receivers, out, reference, sound_speed, crs, seed, force=force, quiet=quiet
+    )
+    if not quiet:
+        typer.echo(f"{found.summary()}\nwritten to {out}")
+
+
+@app.command()
+@_explained
+def track(
+    receivers: Annotated[Path, typer.Option(help="The table of receivers.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    detections: Annotated[
+        list[Path] | None, typer.Argument(help="Files of detections (or give --toa).")
+    ] = None,
+    toa: Annotated[
+        Path | None, typer.Option(help="Matrix of arrival times, one row a ping.")
+    ] = None,
+    tag: Annotated[
+        list[str] | None,
+        typer.Option(help="Tag to track; several times for several; all but sync tags if none."),
+    ] = None,
+    sync: Annotated[
+        str,
+        typer.Option(metavar="auto|none|SYNC.nc", help="How clocks are brought together."),
+    ] = "auto",
+    reference: Annotated[
+        str | None, typer.Option(help="Receiver whose clock is the common time.")
+    ] = None,
+    model: Annotated[Literal["toa"], typer.Option(help="What is modelled.")] = "toa",
+    movement: Annotated[
+        Literal["ctcrw", "rw"], typer.Option(help="Correlated or plain random walk.")
+    ] = "ctcrw",
+    error: Annotated[
+        Literal["ddetect", "gaussian", "student"], typer.Option(help="Law of arrival errors.")
+    ] = "ddetect",
+    interval: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Random burst interval, s."),
+    ] = None,
+    interval_stable: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MEAN SD", help="Stable burst interval, s."),
+    ] = None,
+    sound_speed: Annotated[
+        str | None, typer.Option(metavar="C|estimated", help="Sound speed, m/s.")
+    ] = None,
+    method: Annotated[
+        Literal["laplace", "nuts", "hmc"], typer.Option(help="How the posterior is found.")
+    ] = "laplace",
+    ignore_columns: Annotated[
+        str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
+    ] = "",
+    crs: Crs = None,
+    draws: Annotated[int, typer.Option(min=1, help="Posterior draws a chain.")] = 1000,
+    chains: Annotated[int, typer.Option(min=1, help="Chains of a sampler.")] = 2,
+    seed: Seed = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate tracks: positions of every ping with their uncertainty.
+
+    Writes track.csv, arrivals.csv, parameters.csv, posterior.nc, map.png, diagnostics.png,
+    summary.json.
+    """
+    from maloc._load import TrackOptions
+    from maloc._run import run_track
+
+    options = TrackOptions(
+        detections=tuple(detections or ()),
+        toa=toa,
+        receivers=receivers,
+        tags=tuple(tag or ()),
+        sync=sync,
+        reference=reference,
+        model=model,
+        movement=movement,
+        error=error,
+        interval=interval,
+        interval_stable=interval_stable,
+        sound_speed=sound_speed,
+        method=method,
+        ignore_columns=tuple(c.strip() for c in ignore_columns.split(",") if c.strip()),
+        crs=crs,
+        draws=draws,
+        chains=chains,
+        seed=seed,
+    )
+    lines = run_track(options, out, force=force, quiet=quiet)
+    if not quiet:
+        typer.echo("\n".join([*lines, f"written to {out}"]))
+
+
+def main() -> None:
+    """Entry point of the command `maloc`."""
+    app(prog_name="maloc")
