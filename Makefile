@@ -45,9 +45,20 @@ pytest: $(STAMP)
 test: lint
 	@$(MAKE) --no-print-directory pytest
 
+TRACK = $(BIN)/maloc track --receivers demo/data/receivers.csv --interval 20.6 36.6 --quiet
+
 demo: $(STAMP)
 	@rm -rf demo
-	$(BIN)/python -m benchmarks.demo demo
+	$(BIN)/maloc simulate demo/data --scenario canal --seed 1
+	$(TRACK) --toa demo/data/toa.csv --out demo/track-toa
+	$(TRACK) demo/data/detections.csv --tag 1001 --out demo/track
+	@echo
+	@$(BIN)/python -m benchmarks.compare demo/data/truth.csv demo/track-toa demo/track \
+	  --receivers demo/data/receivers.csv --picture demo/track.png
+	@echo "demo/data       what was simulated, with its truth"
+	@echo "demo/track-toa  the track from arrival times on the true clock"
+	@echo "demo/track      the track from raw detections, clocks synchronised on the way: track.csv,"
+	@echo "                arrivals.csv, parameters.csv, posterior.nc, map.png, diagnostics.png"
 
 clean:
 	rm -rf $(VENV) build dist demo .cache .pytest_cache .ruff_cache .hypothesis *.egg-info

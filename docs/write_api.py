@@ -1,6 +1,6 @@
 """Write docs/api.md from every public package's ``__all__`` and docstrings.
 
-Run it after a public name is added: ``.venv/bin/python docs/write_api.py``. A test compares the page.
+Run it after a public name is added: ``.venv/bin/python docs/write_api.py``; a test compares.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import maloc
 ELSEWHERE = {"maloc.cli", "maloc.data.readers"}
 HEAD = """# Python names
 
-Every public name, by the module to import it from; the docstring has shapes, units and what is raised.
+Every public name, by the module to import it from; docstrings have shapes, units and errors.
 This page is written by `docs/write_api.py`.
 """
 
