@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -134,10 +135,34 @@ class Receivers:
             Index of the deployment; -1 where the receiver is not in the table or was not deployed.
         """
         receiver, time = np.asarray(receiver, dtype=str), np.asarray(time, dtype=np.int64)
+        receiver = self._translated(receiver)
         out = np.full(len(receiver), -1, np.int64)
         for d in range(len(self)):
             mine = (receiver == self.receiver[d]) & (time >= self.start[d])
             out[mine & ((time < self.end[d]) | (self.end[d] == OPEN_END))] = d
+        return out
+
+    def knows(self, name: str) -> bool:
+        """Say whether a receiver is in the table, by its name or by the serial number in it."""
+        return str(self._translated(np.asarray([name], dtype=str))[0]) in self.names
+
+    def _translated(self, receiver: np.ndarray) -> np.ndarray:
+        """Names as the table has them: "VR2W-301001" and "301001" are one receiver."""
+        names, table = np.unique(receiver), set(self.names)
+        by_serial: dict[str, list[str]] = {}
+        for n in self.names:
+            by_serial.setdefault(_serial(n), []).append(n)
+        other = {}
+        for n in map(str, names):
+            same = by_serial.get(_serial(n), [])
+            if n not in table and len(same) == 1:
+                other[n] = same[0]
+        if not other:
+            return receiver
+        width = max(map(len, [*names, *other.values()]))
+        out = receiver.astype(f"<U{width}")
+        for old, new in other.items():
+            out[receiver == old] = new
         return out
 
     def lonlat(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -201,6 +226,11 @@ class Receivers:
         return f"Receivers: {names}{moved}, {span}, {frame}, {tags} with a sync tag"
 
 
+def _serial(name: str) -> str:
+    """The serial number in an Innovasea name (VR2W-301001), other names unchanged."""
+    return name.rsplit("-", 1)[-1] if re.match(r"(VR|HR)\d[^-]*-", name) else name
+
+
 def deployment_problem(
     receiver: np.ndarray, start: np.ndarray, end: np.ndarray
 ) -> tuple[int, str] | None:
@@ -212,8 +242,8 @@ def deployment_problem(
     a, b = order[:-1], order[1:]
     for j in np.flatnonzero((receiver[a] == receiver[b]) & (start[b] < end[a])):
         return int(b[j]), (
-            f"two deployments of receiver {receiver[b[j]]} overlap: one ends {iso(end[a[j]], 0)}, "
-            f"the next starts {iso(start[b[j]], 0)}"
+            f"two deployments of receiver {receiver[b[j]]} overlap: one ends "
+            f"{iso(int(end[a[j]]), 0)}, the next starts {iso(int(start[b[j]]), 0)}"
         )
     return None
 
