@@ -35,8 +35,9 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
 
     Notes
     -----
-    Sites: ``track`` (T, 2, 2) m and m/s or (T, 2) m; ``emission`` (T,) m: range from the tag to where
-    the first arrival's clock stands, c (first arrival - emission time). ``sigma`` is in metres.
+    Sites: ``track`` (T, 2, 2) m and m/s, or (T, 2) m; ``emission`` (T,) m: c (emission time - first
+    arrival), so minus the distance to the first receiver where that arrival is direct. ``sigma`` (m)
+    is the direct arrivals' error in time, times c.
     """
     data = as_toa_data(toa)
     if movement == "ctcrw":
@@ -54,7 +55,7 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
     ratio = 1.0
     if sound_speed == "estimated":
         ratio = numpyro.sample("sound_speed_ratio", dist.Normal(1.0, 0.01))
-    time = data.time - emission / (data.speed * ratio)
+    time = data.time + emission / (data.speed * ratio)
     if data.schedule == "stable":
         mean, sd = data.interval
         mean = mean * (1 + 1e-3 * numpyro.sample("interval_offset", dist.Normal(0.0, 1.0)))

@@ -24,9 +24,10 @@ __all__ = ["ChainModel", "chain_model"]
 
 
 class ChainSite(NamedTuple):
-    """A path site: name, shape behind time, columns it takes in the flat path."""
+    """A path site: name, class of its law, shape behind time, columns it takes in the flat path."""
 
     name: str
+    law: type
     tail: tuple[int, ...]
     columns: slice
 
@@ -91,7 +92,9 @@ class ChainModel:
                 transform = biject_to(site["fn"].support)
                 if not _is_identity(transform):
                     raise FitError(f"path site '{name}' must be unbounded (real support)")
-                self.chain.append(ChainSite(name, shape[1:], slice(start, start + width)))
+                columns = slice(start, start + width)
+                law = type(_unwrap(site["fn"])[0])
+                self.chain.append(ChainSite(name, law, shape[1:], columns))
                 start += width
             else:
                 transform = biject_to(site["fn"].support)
@@ -112,6 +115,7 @@ class ChainModel:
         self.cross = jax.jit(self._cross)
         self.natural = jax.jit(self._natural)
         self.pointwise = jax.jit(self._pointwise)
+        self.prior_draws = jax.jit(self._prior_draws)
 
     def _trace(self, values: dict, args: tuple):
         model = handlers.seed(self.model, rng_seed=0)
@@ -149,16 +153,20 @@ class ChainModel:
         ]
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def prior_medians(self, args: tuple, draws: int = 15) -> dict:
-        """Median of a few prior draws of each parameter site."""
-        seeds = jnp.arange(draws)
+    def _prior_draws(self, keys, args: tuple) -> dict:
+        """Parameter sites drawn from the prior, a draw a key."""
 
-        def draw(seed):
-            model = handlers.seed(self.model, rng_seed=seed)
+        def draw(key):
+            model = handlers.seed(self.model, rng_seed=key)
             trace = handlers.trace(model).get_trace(*args, **self.options)
             return {s.name: trace[s.name]["value"] for s in self.globals}
 
-        return {k: np.median(v, axis=0) for k, v in jax.jit(jax.vmap(draw))(seeds).items()}
+        return jax.vmap(draw)(keys)
+
+    def prior_medians(self, args: tuple, draws: int = 15) -> dict:
+        """Median of a few prior draws of each parameter site."""
+        keys = jax.random.split(jax.random.key(0), draws)
+        return {k: np.median(v, axis=0) for k, v in self.prior_draws(keys, args).items()}
 
     # -- densities ----------------------------------------------------------------------------
 

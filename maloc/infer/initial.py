@@ -1,0 +1,169 @@
+"""Initial values: a path near the right mode from nothing but the data.
+
+Arrival-time models start with every ping in the middle of the array and are annealed: errors are
+widened to the size of the array and narrowed step by step, so that the track as a whole finds its
+place before single arrivals are believed. Then each ping is asked whether another emission time (or
+its neighbours' position) explains it better, which frees pings left behind with all arrivals "late".
+Point positions (population Monte Carlo) can be given in place of the centre.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maloc._jax import jnp
+from maloc.arrival import DDetect
+from maloc.data.model_data import ToaData
+from maloc.infer._model import ChainModel
+from maloc.infer.mode import anneal, find_mode
+from maloc.movement import CTCRW, Brownian
+
+__all__ = ["initial_values", "repair"]
+
+_FINE = (100.0, 60.0, 35.0, 20.0, 12.0, 8.0, 6.0, 5.0, 4.0, 3.0)
+
+
+def initial_values(
+    cm: ChainModel, args: tuple, positions: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Path (T, d) and unconstrained parameters (k,) to start a fit from.
+
+    Parameters
+    ----------
+    cm : ChainModel
+    args : tuple
+        The model's arguments; arrival times (`ToaData`) as the first are used, other models start
+        from zero and the prior medians.
+    positions : (T, 2) array, optional
+        Point positions (m) to start from in place of the array's centre.
+    """
+    medians = cm.prior_medians(args)
+    length = cm.length(args)
+    if not (args and isinstance(args[0], ToaData)):
+        return np.zeros((length, cm.d)), cm.flat_globals(medians)
+    data = args[0]
+    u = cm.flat_globals(medians)
+    x = np.zeros((length, cm.d))
+    xy = np.broadcast_to(np.asarray(data.centre), (length, 2)) if positions is None else positions
+    _put_positions(cm, x, xy)
+    emission = _column(cm, "emission")
+    if emission is not None:
+        x[:, emission] = -_nearest(data, xy)
+    receivers = np.asarray(data.receiver_xy)[np.asarray(data.heard).any(axis=0)]
+    reach = 0.5 * np.linalg.norm(np.ptp(receivers, axis=0))
+    coarse = tuple(reach / 2.0**i for i in range(10) if reach / 2.0**i > 150)
+    x = anneal(cm, args, x, u, coarse + _FINE)
+    for _ in range(3):
+        u = _moments(cm, args, x, u)
+        x = find_mode(cm, args, x, u, method="robust", max_steps=4, tol=1e-2).x
+    return repair(cm, args, x, u), u
+
+
+def repair(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, rounds: int = 3):
+    """Path in which no single ping can be explained better by another emission time.
+
+    Returns the path `x` (T, d) itself where nothing is gained; else the mode reached from the better
+    explanation, as long as its joint density is higher.
+    """
+    if not (args and isinstance(args[0], ToaData)) or _column(cm, "emission") is None:
+        return x
+    value = find_mode(cm, args, x, u, max_steps=15, tol=1e-3)
+    for _ in range(rounds):
+        trial, moved = _reassign(cm, args[0], value.x, cm.sites(jnp.asarray(x), jnp.asarray(u))[0])
+        if not moved:
+            break
+        trial = find_mode(cm, args, trial, u, method="robust", max_steps=4, tol=1e-2).x
+        better = find_mode(cm, args, trial, u, max_steps=15, tol=1e-3)
+        if better.value > value.value - 1e-3:
+            break
+        value = better
+    return value.x
+
+
+def _column(cm: ChainModel, name: str) -> int | None:
+    """Column of a scalar path site."""
+    for site in cm.chain:
+        if site.name == name and site.tail == ():
+            return site.columns.start
+    return None
+
+
+def _position_columns(cm: ChainModel) -> list[int]:
+    """Columns of the flat path that hold the positions' axes."""
+    for site in cm.chain:
+        if issubclass(site.law, CTCRW | Brownian):
+            start = site.columns.start
+            return [start + a for a in range(site.tail[-1])]
+    return []
+
+
+def _put_positions(cm: ChainModel, x: np.ndarray, xy: np.ndarray) -> None:
+    for axis, column in enumerate(_position_columns(cm)):
+        x[:, column] = xy[:, axis]
+
+
+def _nearest(data: ToaData, xy: np.ndarray) -> np.ndarray:
+    """Distance (m) from each position to the receiver that heard the ping first."""
+    ranges = np.where(np.asarray(data.heard), np.asarray(data.range), np.inf)
+    first = np.asarray(data.receiver_xy)[ranges.argmin(axis=1)]
+    return np.linalg.norm(xy - first, axis=1)
+
+
+def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Parameters the models of this package share, from residuals and speeds of a path."""
+    data: ToaData = args[0]
+    values = dict(cm.sites(jnp.asarray(x), jnp.asarray(u))[0])
+    valid = np.asarray(data.valid)
+    parts = [p for p in cm.pointwise(x, u, args).values() if "p_direct" in p]
+    if parts and "sigma" in values:
+        heard = np.asarray(parts[0].get("mask", data.heard)) & valid[:, None]
+        p = np.asarray(parts[0]["p_direct"])[heard]
+        residual = np.asarray(parts[0]["residual"])[heard]
+        freedom = max(heard.sum() - 3 * valid.sum(), 0.3 * heard.sum()) / heard.sum()
+        spread = np.sqrt(np.sum(p * residual**2) / max(np.sum(p) * freedom, 1e-9))
+        values["sigma"] = np.clip(spread, 0.02, 20.0)
+        if "w" in values:
+            values["w"] = np.clip(np.mean(1 - p), 0.003, 0.5)
+    columns = _position_columns(cm)
+    steps = np.diff(x[valid][:, columns], axis=0)
+    if len(steps) > 2:
+        dt = np.asarray(data.dt)[: len(steps)]
+        speed2 = np.median(np.sum(steps**2, axis=1) / dt**2)
+        if "sigma_vel" in values:
+            values["sigma_vel"] = np.clip(np.sqrt(speed2 / 1.39), 0.005, 5.0)
+        if "sigma_step" in values:
+            step2 = np.median(np.sum(steps**2, axis=1) / dt)
+            values["sigma_step"] = np.clip(np.sqrt(step2 / 1.39), 0.02, 50.0)
+    return cm.flat_globals(values)
+
+
+def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
+    """Better emission time (and position) for pings that have one: path, any moved or not."""
+    columns, emission = _position_columns(cm), _column(cm, "emission")
+    assert emission is not None
+    heard, ranges = np.asarray(data.heard), np.asarray(data.range)
+    valid = np.asarray(data.valid)
+    sigma = 1.5 * float(values.get("sigma", 2.0)) + 0.5
+    w = float(values.get("w", 0.1))
+    law = DDetect(0.0, sigma, float(data.phi), np.clip(w, 0.01, 0.5), background=1e-4)
+    xy = x[:, columns]
+    between = xy.copy()
+    between[1:-1] = 0.5 * (xy[:-2] + xy[2:])
+    places = np.stack([xy, between], axis=1)  # (T, 2, 2)
+    distance = np.linalg.norm(places[:, :, None] - np.asarray(data.receiver_xy), axis=-1)
+    reach = np.where(heard[:, None], ranges[:, None] - distance, 0.0)  # (T, 2, R)
+    current = np.broadcast_to(x[:, None, None, emission], (*reach.shape[:2], 1))
+    tried = np.concatenate([current, reach], axis=2)  # (T, 2, R + 1)
+    residual = (ranges[:, None] - distance)[:, :, None] - tried[..., None]
+    score = np.where(heard[:, None, None], np.asarray(law.log_prob(residual)), 0.0).sum(axis=-1)
+    score[:, :, 1:] = np.where(heard[:, None], score[:, :, 1:], -np.inf)
+    flat = score.reshape(len(x), -1)
+    best = flat.argmax(axis=1)
+    gain = flat[np.arange(len(x)), best] - flat[:, 0]
+    moved = valid & (gain > 2.0)
+    out = x.copy()
+    place, choice = np.unravel_index(best[moved], score.shape[1:])
+    rows = np.nonzero(moved)[0]
+    out[np.ix_(rows, columns)] = places[rows, place]
+    out[rows, emission] = tried[rows, place, choice]
+    return out, bool(moved.any())
