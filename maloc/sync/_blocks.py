@@ -1,9 +1,11 @@
 """Symmetric positive definite block-tridiagonal systems, with NumPy: the algebra of the clocks.
 
 A chain of K blocks of size n has diagonal blocks ``D`` (K, n, n) and upper off-diagonal blocks
-``O`` (K - 1, n, n), ``O[k]`` standing in row k and column k + 1. Everything is O(K n^3). Pivots are kept as
-inverses of their Cholesky factors: all that follows is then small matrix products, for which BLAS
-starts no threads (triangular solves of this size spend ten times their work on starting them).
+``O`` (K - 1, n, n), ``O[k]`` standing in row k and column k + 1. Everything is O(K n^3).
+
+Pivots are kept as inverses of their Cholesky factors: all that follows is then small matrix
+products, for which BLAS starts no threads (triangular solves of this size spend ten times their
+work on starting them).
 """
 
 from __future__ import annotations
@@ -11,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.linalg import get_lapack_funcs
 
-__all__ = ["BlockFactor", "factor", "log_det", "selected_inverse", "solve"]
+__all__ = ["BlockFactor", "factor", "selected_inverse", "solve"]
 
 
 class BlockFactor(NamedTuple):
@@ -39,13 +41,14 @@ def factor(diagonal: np.ndarray, off: np.ndarray) -> BlockFactor:
     numpy.linalg.LinAlgError
         If it is not positive definite.
     """
+    potrf, trtri = get_lapack_funcs(("potrf", "trtri"), (diagonal,))
     inverse, upper = np.empty_like(diagonal), np.empty_like(off)
     pivot = diagonal[0]
     for k in range(len(diagonal)):
-        lower, bad = dpotrf(pivot, lower=1, clean=1)
+        lower, bad = potrf(pivot, lower=1, clean=1)
         if bad:
             raise np.linalg.LinAlgError(f"block {k} is not positive definite")
-        inverse[k] = dtrtri(lower, lower=1)[0]
+        inverse[k] = trtri(lower, lower=1)[0]
         if k < len(off):
             upper[k] = inverse[k] @ off[k]
             pivot = diagonal[k + 1] - upper[k].T @ upper[k]
@@ -61,11 +64,6 @@ def solve(f: BlockFactor, b: np.ndarray) -> np.ndarray:
     for k in range(last, -1, -1):
         x[k] = f.inverse[k].T @ (x[k] - f.upper[k] @ x[k + 1] if k < last else x[k])
     return x
-
-
-def log_det(f: BlockFactor) -> float:
-    """Log-determinant of the matrix."""
-    return -2.0 * float(np.log(np.diagonal(f.inverse, axis1=1, axis2=2)).sum())
 
 
 def selected_inverse(f: BlockFactor) -> tuple[np.ndarray, np.ndarray]:

@@ -239,6 +239,8 @@ def _align_one(
     for tolerance in (0.6 + DRIFT * min(WINDOW, float(np.ptp(time))) / 8, 0.6, 0.3):
         clock = _refine(clock, time, key, known, tolerance)
     if len(runs) > 1:
-        jump = max((b[0].offset - a[-1].offset for a, b in zip(runs, runs[1:], strict=False)), key=abs)
+        jump = max(
+            (b[0].offset - a[-1].offset for a, b in zip(runs, runs[1:], strict=False)), key=abs
+        )
         clock = clock._replace(start=run[0].first, end=run[-1].last, jump=float(jump))
     return clock._replace(ambiguous=ambiguous)

@@ -52,13 +52,20 @@ def evaluate(
 
 
 def to_common(
-    state: np.ndarray, first: float, spacing: float, receiver: np.ndarray, recorded: np.ndarray
+    state: np.ndarray,
+    first: float,
+    spacing: float,
+    receiver: np.ndarray,
+    recorded: np.ndarray,
+    guess: np.ndarray | None = None,
 ) -> np.ndarray:
     """Common time (N,) of what receivers' clocks showed: solves recorded = t + offset(t).
 
     Slopes are below 1e-3, so each pass of the fixed point gains three digits at least.
     """
-    common = recorded - state[:, :, 0].mean(0)[receiver]
-    for _ in range(6):
-        common = recorded - evaluate(state, first, spacing, receiver, common)
+    common = recorded - state[:, :, 0].mean(0)[receiver] if guess is None else guess
+    for _ in range(10):
+        before, common = common, recorded - evaluate(state, first, spacing, receiver, common)
+        if np.abs(common - before).max(initial=0.0) < 1e-8:  # the next pass: 1e-11
+            break
     return common

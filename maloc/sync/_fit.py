@@ -8,14 +8,17 @@ import numpy as np
 
 from maloc.data import Detections, Note, Receivers
 from maloc.errors import FitError, InputError
-from maloc.sync import _model
-from maloc.sync._coarse import DRIFT, CoarseClock
-from maloc.sync._prepare import ECHO, SELF, SyncData, collect, group, most_shared, too_few
+from maloc.sync import _arrivals, _model
+from maloc.sync._coarse import DRIFT, FEW, CoarseClock
+from maloc.sync._curve import to_common
+from maloc.sync._prepare import ECHO, SELF, SyncData, alignment_notes, collect, group, most_shared
 from maloc.sync.clocks import NS, ClockSync, SyncResiduals
 
 __all__ = ["fit"]
 
-DEFAULT_SPEED, SPEED_SD = 1500.0, 30.0  # prior of the sound speed, m/s
+DEFAULT_SPEED, SPEED_SD = 1500.0, 50.0  # prior of the sound speed, m/s
+UNFIT = 0.7  # a receiver with a larger share of arrivals that do not fit is not synchronised
+UNSURE_SPEED = 15.0  # m/s
 LATE, WILD = "late: reflected", "early or wild"
 
 
@@ -99,9 +102,9 @@ def fit(
     speed = DEFAULT_SPEED if sound_speed is None else float(sound_speed)
 
     xyz = _coordinates(receivers)
-    travel = _model.distances(xyz, data.place, data.source) / speed
+    travel = _arrivals.distances(xyz, data.place, data.source) / speed
     clocks, ping, common, why = group(data, travel, ref, len(names), self_detections)
-    notes += tuple(too_few(data, clocks, names))
+    notes += tuple(alignment_notes(data, clocks, names))
     used = np.flatnonzero(why == "")
     if len(clocks) < 2 or len(used) == 0:
         raise FitError(
@@ -112,11 +115,11 @@ def fit(
     first, spacing, n_knots = _knots(common[used], knot_spacing)
     start = _start(clocks, len(names), first, spacing, n_knots)
     number = np.unique(ping[used], return_inverse=True)[1]
-    arrivals = _model.Arrivals(
+    arrivals = _arrivals.Arrivals(
         data.recorded[used], data.clock[used], number, data.place[used], data.source[used]
     )
     speed_sd = SPEED_SD if sound_speed is None else 0.0
-    geometry = _model.Geometry(xyz, float(free_positions), speed, speed_sd)
+    geometry = _arrivals.Geometry(xyz, float(free_positions), speed, speed_sd)
     fitted = _model.solve(arrivals, geometry, start, first, spacing, ref)
     if not np.isfinite(fitted.state).all() or not np.isfinite(fitted.sigma):
         raise FitError("the clock model diverged; are the receivers' places and sync tags right?")
@@ -126,7 +129,9 @@ def fit(
     _judge(data, why, ping, used, fitted, residual, first, spacing)
     doubtful = used[p_direct[used] < 0.5]
     why[doubtful] = np.where(residual[doubtful] > 0, LATE, WILD)
-    heard_by = np.isin(np.arange(len(names)), data.clock[used])
+    unfit, more = _unfit(data.clock[used], p_direct[used], ref, names)
+    notes += tuple(more)
+    heard_by = np.isin(np.arange(len(names)), data.clock[used]) & ~unfit
     values = np.where(heard_by, fitted.state[:, :, 0], np.nan).T
     slopes = np.where(heard_by, fitted.state[:, :, 1] / spacing, np.nan).T
     order = np.argsort(data.row)
@@ -138,7 +143,7 @@ def fit(
         np.array(data.tags)[data.tag[order]],
         np.array(names)[data.clock[order]],
         detections.time[data.row[order]],
-        _model.distances(fitted.xyz, data.place, data.source)[order],
+        _arrivals.distances(fitted.xyz, data.place, data.source)[order],
         residual[order],
         p_direct[order],
         why[order],
@@ -211,8 +216,10 @@ def _judge(
 ) -> None:
     """Residuals of arrivals outside the fit whose ping is in it (self-detections, echoes)."""
     rest = np.flatnonzero(np.isin(why, [SELF, ECHO]) & (ping >= 0))
-    common = _model.to_common(fitted.state, first, spacing, data.clock[rest], data.recorded[rest])
-    travel = _model.distances(fitted.xyz, data.place[rest], data.source[rest]) / fitted.sound_speed
+    common = to_common(fitted.state, first, spacing, data.clock[rest], data.recorded[rest])
+    travel = (
+        _arrivals.distances(fitted.xyz, data.place[rest], data.source[rest]) / fitted.sound_speed
+    )
     pings = np.unique(ping[used])
     residual[rest] = common - travel - fitted.emission[np.searchsorted(pings, ping[rest])]
 
@@ -226,6 +233,26 @@ def _spans(common: np.ndarray, clock: np.ndarray, why: np.ndarray, n_clocks: int
     return span
 
 
+def _unfit(
+    clock: np.ndarray, p_direct: np.ndarray, reference: int, names: tuple[str, ...]
+) -> tuple[np.ndarray, list[Note]]:
+    """Receivers (R,) whose arrivals mostly do not fit, so that their clock is not believed."""
+    total = np.bincount(clock, minlength=len(names))
+    bad = np.bincount(clock, p_direct < 0.5, minlength=len(names))
+    share = bad / np.maximum(total, 1)
+    unfit = (total >= FEW) & (share > UNFIT)
+    unfit[reference] = False
+    notes = []
+    for j in np.flatnonzero((total >= FEW) & (share > 0.5)):
+        end = "its clock is not used" if unfit[j] else "kept"
+        text = (
+            f"receiver {names[j]}: {bad[j]:.0f} of {total[j]} sync arrivals do not fit (wrong "
+            f"place, jumping or wrongly aligned clock, or seldom a direct path); {end}"
+        )
+        notes.append(Note("warning", text, int(bad[j])))
+    return unfit, notes
+
+
 def _remarks(sync: ClockSync, fitted: _model.Solution, asked: object) -> list[Note]:
     r = sync.residuals
     notes = []
@@ -237,21 +264,22 @@ def _remarks(sync: ClockSync, fitted: _model.Solution, asked: object) -> list[No
     own = r.why == SELF
     if own.any():
         late = r.residual[own & np.isfinite(r.residual)]
-        middle = f", {1e3 * np.median(late):+.2f} ms from the fit in the median" if len(late) else ""
-        text = f"{int(own.sum())} detections by receivers of their own sync tag do not count{middle}"
+        middle = (
+            f", {1e3 * np.median(late):+.2f} ms from the fit in the median" if len(late) else ""
+        )
+        text = (
+            f"{int(own.sum())} detections by receivers of their own sync tag do not count{middle}"
+        )
         notes.append(Note("info", text, int(own.sum())))
     if not fitted.converged:
         text = f"the clock fit had not settled after {fitted.rounds} rounds"
         notes.append(Note("warning", text))
-    for name in np.array(sync.receivers.names)[sync.synced]:
-        mine = (r.receiver == name) & np.isfinite(r.p_direct)
-        bad = mine & ~r.used
-        if mine.sum() >= 10 and bad.sum() > 0.5 * mine.sum():
-            text = (
-                f"receiver {name}: {int(bad.sum())} of {int(mine.sum())} sync arrivals do not fit "
-                "(place wrong, clock jumping, or hardly ever a direct path)"
-            )
-            notes.append(Note("warning", text, int(bad.sum())))
+    if sync.sound_speed_sd > UNSURE_SPEED:
+        text = (
+            f"the sync pings hardly tell the sound speed ({sync.sound_speed:.0f} +- "
+            f"{sync.sound_speed_sd:.0f} m/s); sound_speed= gives it"
+        )
+        notes.append(Note("warning", text))
     far = np.hypot(*sync.shift.T) > 3.0
     if far.any():
         moved = [

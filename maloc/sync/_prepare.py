@@ -24,7 +24,7 @@ ALONE = "ping heard by one receiver"
 
 
 def seconds(time: np.ndarray, origin: int) -> np.ndarray:
-    """Seconds (float64) from `origin`, of ns since 1970: subtracted in int64, so nothing is lost."""
+    """Seconds (float64) from `origin`; both are ns since 1970, subtracted as integers."""
     return (np.asarray(time, np.int64) - origin) * 1e-9
 
 
@@ -53,7 +53,9 @@ class SyncData(NamedTuple):
     tags: tuple[str, ...]
 
 
-def resolve_sync_tags(detections: Detections, receivers: Receivers) -> tuple[np.ndarray, list[Note]]:
+def resolve_sync_tags(
+    detections: Detections, receivers: Receivers
+) -> tuple[np.ndarray, list[Note]]:
     """Full id (D,) of each deployment's sync tag as in the detections; "" = none or never heard.
 
     Raises
@@ -153,9 +155,10 @@ def collect(
 
 
 def most_shared(data: SyncData, n_clocks: int) -> int:
-    """Receiver that shares most sync detections with the others."""
+    """Receiver that shares most sync detections, its own tag's apart, with the others."""
     heard = np.zeros((n_clocks, len(data.tags)))
-    np.add.at(heard, (data.clock, data.tag), 1)
+    other = data.source != data.place
+    np.add.at(heard, (data.clock[other], data.tag[other]), 1)
     shared = np.minimum(heard[:, None], heard[None]).sum(2)
     np.fill_diagonal(shared, 0)
     return int(shared.sum(1).argmax())
@@ -189,9 +192,11 @@ def group(
     good = np.flatnonzero(why == USED)
     p, first = associate(data.tag[good], data.clock[good], (common - travel)[good], PING_GAP)
     why[good[~first]] = ECHO
-    own_tag = data.source[good] == data.place[good]
+    own = (why == USED) & (data.source == data.place)
     if not self_detections:
-        why[good[own_tag]] = SELF
+        # a receiver that hears no other sync tag has only these
+        others = np.bincount(data.clock[(why == USED) & ~own], minlength=n_clocks)
+        why[own & (others >= FEW)[data.clock]] = SELF
     in_fit = why[good] == USED
     n_pings = int(p.max(initial=-1)) + 1
     alone = np.bincount(p[in_fit], minlength=n_pings) < 2
@@ -207,7 +212,9 @@ def group(
     return clocks, ping, common, why
 
 
-def too_few(data: SyncData, clocks: dict[int, CoarseClock], names: tuple[str, ...]) -> list[Note]:
+def alignment_notes(
+    data: SyncData, clocks: dict[int, CoarseClock], names: tuple[str, ...]
+) -> list[Note]:
     """Say which receivers could not be aligned, and what was odd about those that could."""
     notes = []
     count = np.bincount(data.clock, minlength=len(names))

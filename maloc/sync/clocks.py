@@ -62,7 +62,7 @@ class SyncResiduals:
     @property
     def used(self) -> np.ndarray:
         """Whether an arrival counts (N,)."""
-        return self.why == ""
+        return np.asarray(self.why == "")
 
     def __repr__(self) -> str:
         return f"SyncResiduals: {len(self)} sync detections, {int(self.used.sum())} used"
@@ -139,7 +139,7 @@ class ClockSync:
     @property
     def synced(self) -> np.ndarray:
         """Whether each receiver of `receivers.names` is synchronised (R,)."""
-        return np.isfinite(self.values).all(1)
+        return np.asarray(np.isfinite(self.values).all(axis=1))
 
     @property
     def residual_sd(self) -> float:
@@ -256,6 +256,29 @@ class ClockSync:
             }
         )
 
+    def links_frame(self) -> pl.DataFrame:
+        """Return how each link (a sync tag heard by a receiver) fits, a row a link.
+
+        Columns: sync_tag, receiver, distance (m), detections, in_fit, used, median and sd of the
+        residuals used (s).
+        """
+        import polars as pl
+
+        used = pl.col("residual").filter(pl.col("used"))
+        return (
+            self.residuals_frame()
+            .group_by("sync_tag", "receiver")
+            .agg(
+                pl.col("distance").mean(),
+                pl.len().alias("detections"),
+                pl.col("p_direct").count().alias("in_fit"),
+                pl.col("used").sum(),
+                used.median().alias("median"),
+                used.std().alias("sd"),
+            )
+            .sort("sync_tag", "receiver")
+        )
+
     def summary(self) -> str:
         """Return the fit in a page of text."""
         from maloc.sync._text import summary
@@ -284,8 +307,8 @@ class ClockSync:
     def write(self, folder: str | Path, detections: Detections | None = None) -> list[Path]:
         """Write the files of `maloc sync` into an existing folder; returns their paths.
 
-        sync.nc, receivers_fitted.csv, residuals.csv, residuals.png, clocks.png and, when the
-        detections are given, detections_synced.parquet.
+        sync.nc, receivers_fitted.csv, residuals.csv, links.csv, residuals.png, clocks.png and,
+        when the detections are given, detections_synced.parquet.
         """
         from maloc.sync._files import write
 
