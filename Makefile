@@ -30,7 +30,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "setting up $(VENV) with $$($$python --version)"; \
 	  "$$python" -m venv $(VENV); \
 	fi
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
 	@touch $(STAMP)
 
 lint: $(STAMP)
