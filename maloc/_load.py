@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from maloc._log import Log
+from maloc.data._time import NS
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Source", "TrackOptions", "check_usable", "check_whole_seconds", "load", "sync_tags"]
 
-NS = 1_000_000_000
 FEWEST = 3  # usable pings
+ROW = "row in the detections as read"  # extra column that survives the synchronisation
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
         ]
         for toa in toas:
             log.report(toa.report)
-            check_usable(toa, receivers, options.toa)
+            check_usable(toa, options.toa)
     return Source(toas, receivers, None, None, {})
 
 
@@ -163,20 +164,17 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         tags = _tags(options, detections, receivers)
         for tag in tags:
             check_whole_seconds(detections.select(tag), options.detections)
-        unknown = ~np.isin(detections.receiver, receivers.names)
-        for name in np.unique(detections.receiver[unknown]):
-            n = int((detections.receiver == name).sum())
-            log.warn(f"receiver {name} is not in {options.receivers}: its {n} detections set aside")
+        numbered = replace(detections, extra={**detections.extra, ROW: np.arange(len(detections))})
     with log.stage("sync"):
         sync = _sync(options, detections, receivers, log)
         place = receivers if sync is None else sync.receivers
-        common = detections if sync is None else sync.apply(detections)
+        common = numbered if sync is None else sync.apply(numbered)
         log.report(common.report)
     speed = options.speed()
     if np.isnan(speed):
-        speed = 1500.0 if sync is None else sync.sound_speed
-        if sync is None and options.sound_speed is None:
-            log.warn("no sound speed given: 1500 m/s taken; give --sound-speed C or estimated")
+        speed = None if sync is None else sync.sound_speed
+        if speed is None and options.sound_speed == "estimated":
+            speed = 1500.0
     toas, skipped = [], {}
     with log.stage("group"):
         for tag in tags:
@@ -184,7 +182,8 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                 if tag not in common.tags:
                     raise InputError(f"tag {tag}: no detection is left on the common clock")
                 toa = toa_matrix(common, place, tag, sound_speed=speed, schedule=options.schedule())
-                check_usable(toa, receivers)
+                toa = _with_rows(toa, common, detections, receivers)
+                check_usable(toa)
             except InputError as problem:
                 if options.tags or len(tags) == 1:
                     raise
@@ -196,6 +195,34 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
     if not toas:
         raise InputError(f"none of {len(tags)} tags can be positioned", mend="name one with --tag")
     return Source(toas, receivers, detections, sync, skipped)
+
+
+def _with_rows(
+    toa: ArrivalTimes, common: Detections, detections: Detections, receivers: Receivers
+) -> ArrivalTimes:
+    """Number entries by the rows of the detections as read, and list those that sync set aside."""
+    from maloc.data import SetAside
+
+    row = common.extra[ROW]
+    assert toa.detection is not None
+    number = np.where(toa.detection >= 0, row[toa.detection], -1)
+    aside = toa.set_aside
+    lost = np.setdiff1d(np.flatnonzero(detections.tag == toa.tag), row[common.tag == toa.tag])
+    why = [
+        "clock not synchronised"
+        if name in receivers.names
+        else f"receiver {name} is not in the table"
+        for name in detections.receiver[lost]
+    ]
+    time = (detections.time[lost] - (toa.origin or 0)) / NS
+    merged = (
+        np.concatenate([aside.receiver, detections.receiver[lost]]),
+        np.concatenate([aside.time, time]),
+        np.concatenate([row[aside.detection], lost]),
+        np.concatenate([aside.why, np.asarray(why, dtype=str)]),
+    )
+    order = np.argsort(merged[1], kind="stable")
+    return toa.replace(detection=number, set_aside=SetAside(*(m[order] for m in merged)))
 
 
 def _tags(options: TrackOptions, detections: Detections, receivers: Receivers) -> list[str]:
@@ -268,7 +295,7 @@ def check_whole_seconds(detections: Detections, files: Any) -> None:
             )
 
 
-def check_usable(toa: ArrivalTimes, receivers: Receivers, file: Path | None = None) -> None:
+def check_usable(toa: ArrivalTimes, file: Path | None = None) -> None:
     """Refuse arrival times that cannot give a track.
 
     Raises

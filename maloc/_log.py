@@ -17,6 +17,9 @@ __all__ = ["Log"]
 class Log:
     """Notices and warnings on stderr, each once, and seconds by stage.
 
+    What is said before `release` is held back, so that refused input leaves one line on stderr:
+    the reason.
+
     Parameters
     ----------
     quiet : bool
@@ -25,6 +28,7 @@ class Log:
 
     def __init__(self, quiet: bool = False) -> None:
         self.quiet = quiet
+        self._held: list[str] | None = []
         self.notices: list[str] = []
         self.warnings: list[str] = []
         self.seconds: dict[str, dict[str, float]] = {}
@@ -34,14 +38,26 @@ class Log:
         if text not in self.notices:
             self.notices.append(text)
             if not self.quiet:
-                print(f"maloc: {text}", file=sys.stderr)
+                self._say(f"maloc: {text}")
 
     def warn(self, text: str) -> None:
         """Warn on stderr, quiet or not."""
         text = " ".join(text.split())
         if text not in self.warnings:
             self.warnings.append(text)
-            print(f"maloc: warning: {text}", file=sys.stderr)
+            self._say(f"maloc: warning: {text}")
+
+    def _say(self, line: str) -> None:
+        if self._held is None:
+            print(line, file=sys.stderr)
+        else:
+            self._held.append(line)
+
+    def release(self) -> None:
+        """Say what was held back, and everything from now on at once."""
+        held, self._held = self._held or [], None
+        for line in held:
+            self._say(line)
 
     def report(self, report: Any) -> None:
         """Pass on a `ReadReport`'s notes, the ones of level "info" as notices."""

@@ -214,7 +214,7 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
     import polars as pl
     import polars.selectors as cs
 
-    table = table.with_columns(cs.float().fill_nan(None))
+    table = table.with_columns(cs.float().fill_nan(None), cs.string().replace("", None))
     table = table.with_columns(
         *(pl.col(c).round(d) for c, d in DECIMALS.items() if c in table.columns),
         cs.datetime().dt.strftime("%Y-%m-%dT%H:%M:%S%.6fZ"),

@@ -113,6 +113,7 @@ def run_track(
     log = Log(quiet)
     with log.listening():
         source = load(options, log)
+        log.release()
         fitted = [fit_tag(toa, options, source.receivers, log) for toa in source.toas]
         with output_folder(out, force) as folder:
             from maloc._write import write_track
@@ -168,6 +169,7 @@ def run_sync(
             sync = fit(raw, table, sound_speed=sound_speed, reference=reference)
         for note in sync.notes:
             (log.notice if note.level == "info" else log.warn)(note.text)
+        log.release()
         with output_folder(out, force) as folder:
             with log.stage("write"):
                 sync.write(folder, raw)

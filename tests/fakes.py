@@ -70,3 +70,48 @@ class FakeFit:
             for k, v in self.samples.items()
         }
         return xr.DataTree.from_dict({"/posterior": xr.Dataset(sites)})
+
+
+def fake_of(toa, method="laplace", **how):
+    """A `FakeFit` of the right shape for these arrival times."""
+    heard = toa.n_heard > 0
+    fit = FakeFit(int(heard.sum()), toa.n_receivers, method=method)
+    fit.time = toa.first[heard]
+    fit.samples["emission_time"] = np.broadcast_to(fit.time, fit.samples["emission_time"].shape)
+    fit._residual = np.where(toa.heard[heard], 1e-4, np.nan)
+    fit._p = np.where(toa.heard[heard], 0.99, np.nan)
+    fit._p[0, np.flatnonzero(toa.heard[heard][0])[0]] = 0.01
+    fit.options = how
+    return fit
+
+
+def fake_table(fit, toa):
+    """A table with track.csv's columns, unheard pings included, positions drawn from the fit."""
+    import polars as pl
+
+    n = toa.n_pings
+    x, y = 40 * np.cos(np.arange(n) / 9) + 1 / 3, 40 * np.sin(np.arange(n) / 9)
+    if toa.origin is None:
+        time = pl.Series([""] * n, dtype=pl.String)
+    else:
+        ns = toa.origin + np.round(toa.first * 1e9).astype(np.int64)
+        time = pl.Series(ns).cast(pl.Datetime("ns")).dt.strftime("%Y-%m-%dT%H:%M:%S%.6fZ")
+    half = 1.96 * 1.5
+    return pl.DataFrame(
+        {
+            "tag": [toa.tag] * n,
+            "time": time,
+            "t": toa.first,
+            "x": x,
+            "y": y,
+            "sd_x": np.full(n, 1.5),
+            "sd_y": np.full(n, 1.5),
+            "cov_xy": np.full(n, 0.1),
+            "x_lo": x - half,
+            "x_hi": x + half,
+            "y_lo": y - half,
+            "y_hi": y + half,
+            "n_receivers": toa.n_heard,
+            "heard": toa.n_heard > 0,
+        }
+    )
