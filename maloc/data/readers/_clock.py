@@ -14,7 +14,7 @@ _STAMP = (
     r"^(\d{4})[-/](\d{2})[-/](\d{2})(?:[T ]\s*(\d{2}):(\d{2})(?::(\d{2})(?:[.,](\d{0,18}))?)?)?"
     r"\s*(Z|z|UTC|GMT|[+-]\d{2}:?\d{2}|[+-]\d{2})?$"
 )
-_SECONDS = r"^([+-]?)(\d{1,11})(?:[.,](\d*))?$"
+_SECONDS = r"^([+-]?)(\d{0,11})(?:\.(\d*))?$"
 _UTC = ("UTC", "GMT", "Z", "Etc/UTC")
 LATEST_S = 7_258_118_400  # 2200-01-01; text dates outside 1970..2200 are taken for mistakes
 
@@ -190,8 +190,11 @@ def seconds(table: Table, k: int) -> tuple[np.ndarray, np.ndarray]:
         return whole.astype(np.int64) * NS + np.rint((value - whole) * 1e9).astype(np.int64), known
     cell = table.text(k)
     known = cell.is_not_null().to_numpy()
+    if table.delimiter != ",":
+        cell = cell.str.replace(",", ".", literal=True)
     p = cell.str.extract_groups(_SECONDS).struct.unnest()
-    bad = np.flatnonzero(known & p["2"].is_null().to_numpy())
+    digits = p["2"].str.len_chars() + p["3"].fill_null("").str.len_chars()
+    bad = np.flatnonzero(known & (digits.fill_null(0) == 0).to_numpy())
     if len(bad):
         i = int(bad[0])
         value = str(cell[i])
@@ -201,7 +204,8 @@ def seconds(table: Table, k: int) -> tuple[np.ndarray, np.ndarray]:
         if re.fullmatch(r"[+-]?\d+(\.\d+)?[eE][+-]?\d+", value):
             mend = "written with an exponent: digits are lost, export it again in full"
         raise table.error(f"'{value}' is not a number of seconds", i, _name(table, k), mend)
-    whole = p["2"].cast(pl.Int64).fill_null(0).to_numpy()
+    whole = p["2"].cast(pl.Int64, strict=False).fill_null(0).to_numpy()
+    _refuse_large(table, whole, k)
     size = whole * NS + _nanoseconds(p["3"])
     return np.where((p["1"] == "-").fill_null(False).to_numpy(), -size, size), known
 
