@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpyro.distributions as dist
 from jaxtyping import Array, Float
 from numpyro.distributions import constraints
-from numpyro.distributions.util import promote_shapes, validate_sample
+from numpyro.distributions.util import promote_shapes
 
 from maloc._jax import jax, jnp
 
@@ -139,7 +139,6 @@ class _Path(dist.Distribution):
             function = jax.vmap(function)
         return function(value)
 
-    @validate_sample
     def log_prob(self, value: Float[Array, ...]):
         """Log density of a path; the value's shape ends in batch_shape + event_shape."""
         return self._over(self._log_density, value)
