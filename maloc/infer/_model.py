@@ -280,6 +280,8 @@ class ChainModel:
             if site["type"] != "sample" or not site["is_observed"]:
                 continue
             base, mask = _unwrap(site["fn"])
+            if isinstance(base, dist.Unit):
+                continue  # numpyro.factor: a part of the prior, no data
             out[name] = {"log_likelihood": base.log_prob(site["value"])}
             if hasattr(base, "p_direct"):
                 out[name]["p_direct"] = base.p_direct(site["value"])
