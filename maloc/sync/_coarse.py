@@ -16,6 +16,7 @@ __all__ = ["CoarseClock", "align"]
 DRIFT = 8e-4  # largest believable drift, s/s (69 s a day)
 WINDOW = 6 * 3600.0  # at most this far between votes, s
 FEW = 6  # fewer detections than this cannot be aligned
+BEND = 3e-5  # largest change of drift that is no jump, s/s
 NODE = 1800.0  # spacing of the piecewise-linear offset, s
 
 
@@ -80,13 +81,10 @@ def _vote(time: np.ndarray, key: np.ndarray, known: np.ndarray, limit: float) ->
     n_bins = int(2 * limit / width) + 2
     count = np.bincount(((difference + limit) / width).astype(int), minlength=n_bins + 1)
     votes = count[:-1] + count[1:]  # overlapping double bins: no offset falls on an edge
-    best = int(votes.argmax())
-    ambiguous = False
+    best, ambiguous = int(votes.argmax()), False
     rivals = np.flatnonzero(votes > 0.8 * votes[best])
-    far = rivals[np.abs(rivals - best) > 2]
-    if len(far):
-        best = int(rivals[np.abs((rivals + 1) * width - limit).argmin()])
-        ambiguous = True
+    if len(rivals) > 1 and np.ptp(rivals) > 2:  # regular intervals: every multiple has its votes
+        best, ambiguous = _sharpest(rivals, time[i], difference, width, limit)
     near = np.abs(difference - ((best + 1) * width - limit)) <= width
     distinct = len(np.unique(j[near]))
     background = len(difference) * width / limit
@@ -97,6 +95,32 @@ def _vote(time: np.ndarray, key: np.ndarray, known: np.ndarray, limit: float) ->
     offset = float(np.median(difference[near]))
     votes_best = int(near.sum())
     return _Vote(float(span.mean()), offset, votes_best, span[0], span[-1], ambiguous)
+
+
+def _sharpest(
+    rivals: np.ndarray, time: np.ndarray, difference: np.ndarray, width: float, limit: float
+) -> tuple[int, bool]:
+    """Bin whose differences scatter least about a line, or the one nearest 0 where that is unclear.
+
+    Even regular tags jitter, and only at the true offset does the jitter cancel.
+    """
+    order = np.argsort(difference)
+    sorted_, centre = difference[order], (rivals + 1) * width - limit
+    spread = np.full(len(rivals), np.inf)
+    for n, c in enumerate(centre):
+        rows = order[slice(*np.searchsorted(sorted_, [c - width, c + width]))]
+        rows = rows[np.argsort(time[rows], kind="stable")]
+        half = len(rows) // 2
+        early, late = rows[:half], rows[half:]
+        run = np.median(time[late]) - np.median(time[early])
+        rise = np.median(difference[late]) - np.median(difference[early])
+        rest = difference[rows] - (rise / run if run > 0 else 0.0) * time[rows]
+        spread[n] = np.median(np.abs(rest - np.median(rest)))
+    best = int(spread.argmin())
+    other = spread[np.abs(rivals - rivals[best]) > 2].min(initial=np.inf)
+    if spread[best] < 0.5 * other:
+        return int(rivals[best]), False
+    return int(rivals[np.abs(centre).argmin()]), True
 
 
 def _windows(time: np.ndarray, most: int = 150) -> list[np.ndarray]:
@@ -111,35 +135,40 @@ def _windows(time: np.ndarray, most: int = 150) -> list[np.ndarray]:
     return out
 
 
-def _runs(votes: list[_Vote]) -> list[list[_Vote]]:
-    """Split votes where neighbours disagree by more than any drift explains."""
-    runs = [[votes[0]]]
-    for a, b in zip(votes[:-1], votes[1:], strict=True):
-        if abs(b.offset - a.offset) > 1.0 + DRIFT * abs(b.time - a.time):
-            runs.append([])
-        runs[-1].append(b)
-    return runs
+def _runs(time: np.ndarray, offset: np.ndarray, allowed: float, bend: float) -> list[slice]:
+    """Split where neighbours leave the common drift by more than `allowed` s + `bend` s/s."""
+    run, rise = np.diff(time), np.diff(offset)
+    if len(run) > 1:
+        rise = rise - np.median(rise / np.maximum(run, 1.0)) * run
+    else:
+        bend = DRIFT  # one step says nothing of the drift
+    cut = np.flatnonzero(np.abs(rise) > allowed + bend * run) + 1
+    edges = [0, *cut.tolist(), len(time)]
+    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
 def _line(votes: list[_Vote], drift: float) -> CoarseClock:
     time = np.array([v.time for v in votes])
     offset = np.array([v.offset for v in votes])
-    if len(votes) > 1:
-        drift = float(np.median(np.diff(offset) / np.maximum(np.diff(time), 1.0)))
-    return CoarseClock(time, offset, drift)
+    clock = CoarseClock(time, offset, drift)
+    return clock._replace(drift=_slope(clock))
+
+
+def _rest(clock: CoarseClock, time: np.ndarray, key: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """How far each detection (N,) is from the nearest known emission under this offset, s."""
+    k = key - clock.at(time)
+    right = np.clip(np.searchsorted(known, k), 1, len(known) - 1)
+    nearest = np.where(np.abs(known[right] - k) < np.abs(known[right - 1] - k), right, right - 1)
+    return k - known[nearest]
 
 
 def _refine(
     clock: CoarseClock, time: np.ndarray, key: np.ndarray, known: np.ndarray, tolerance: float
 ) -> CoarseClock:
     """Sharpen to medians of matched differences in windows of `NODE` seconds."""
-    offset = clock.at(time)
-    k = key - offset
-    right = np.clip(np.searchsorted(known, k), 1, len(known) - 1)
-    nearest = np.where(np.abs(known[right] - k) < np.abs(known[right - 1] - k), right, right - 1)
-    rest = k - known[nearest]
+    rest = _rest(clock, time, key, known)
     ok = np.abs(rest) < tolerance
-    x, e = time[ok], (offset + rest)[ok]
+    x, e = time[ok], (clock.at(time) + rest)[ok]
     if len(x) < FEW:
         return clock
     if len(clock.time) == 1:  # no slope yet: repeated medians of half against half
@@ -231,16 +260,53 @@ def _align_one(
     votes = [v for w in _windows(time) if (v := _vote(time[w], key[w], known, limit)) is not None]
     if not votes:
         return None
-    runs = _runs(votes)
-    run = max(runs, key=lambda r: sum(v.votes for v in r))
-    ambiguous = any(v.ambiguous for v in run)
-    clock = _line(run, 0.0)
+    t, o, n = np.array([(v.time, v.offset, v.votes) for v in votes]).T
+    runs = _runs(t, o, 1.0, BEND)
+    run = max(runs, key=lambda r: n[r].sum())
+    jumps = _jumps(o, runs)
+    first, last = votes[run][0].first, votes[run][-1].last
+    clock = _line(votes[run], 0.0)
     # wide first: the votes know the offset only to the width of a bin
-    for tolerance in (0.6 + DRIFT * min(WINDOW, float(np.ptp(time))) / 8, 0.6, 0.3):
-        clock = _refine(clock, time, key, known, tolerance)
+    wide = 0.6 + DRIFT * min(WINDOW, float(np.ptp(time))) / 8
+    clock = _refine(clock, time, key, known, wide)
+    runs = _runs(clock.time, clock.offset, 0.4, BEND)
     if len(runs) > 1:
-        jump = max(
-            (b[0].offset - a[-1].offset for a, b in zip(runs, runs[1:], strict=False)), key=abs
-        )
-        clock = clock._replace(start=run[0].first, end=run[-1].last, jump=float(jump))
-    return clock._replace(ambiguous=ambiguous)
+        run = max(runs, key=lambda r: r.stop - r.start)
+        jumps += _jumps(clock.offset, runs)
+        first = max(first, float(clock.time[run][0]) - NODE)
+        last = min(last, float(clock.time[run][-1]) + NODE)
+        clock = clock._replace(time=clock.time[run], offset=clock.offset[run])
+        clock = clock._replace(drift=_slope(clock))
+    for tolerance in (0.6, 0.3):
+        inside = (time >= first) & (time <= last) if jumps else np.ones(len(time), bool)
+        clock = _refine(clock, time[inside], key[inside], known, tolerance)
+    if jumps:
+        start, end = _stretch(clock, time, key, known, first, last)
+        clock = clock._replace(start=start, end=end, jump=max(jumps, key=abs))
+    return clock._replace(ambiguous=any(v.ambiguous for v in votes))
+
+
+def _jumps(offset: np.ndarray, runs: list[slice]) -> list[float]:
+    return [float(offset[b.start] - offset[b.start - 1]) for b in runs[1:]]
+
+
+def _slope(clock: CoarseClock) -> float:
+    if len(clock.time) < 2:
+        return clock.drift
+    return float(np.median(np.diff(clock.offset) / np.maximum(np.diff(clock.time), 1.0)))
+
+
+def _stretch(
+    clock: CoarseClock,
+    time: np.ndarray,
+    key: np.ndarray,
+    known: np.ndarray,
+    first: float,
+    last: float,
+) -> tuple[float, float]:
+    """First and last time between which most detections match, within `first` and `last`."""
+    inside = (time >= first) & (time <= last)
+    match = (np.abs(_rest(clock, time, key, known)) < 0.3) & inside
+    share = np.convolve(match, np.full(9, 1 / 9), "same")
+    good = time[match & (share >= 0.5)]
+    return (float(good[0]), float(good[-1])) if len(good) else (first, last)

@@ -46,6 +46,7 @@ def to_netcdf(sync: ClockSync, path: str | Path) -> None:
     data: dict[str, Any] = {"knots": ("knot", sync.knots)}
     for name, second in _BY_CLOCK.items():
         data[name] = (("clock", second), getattr(sync, name))
+    data["jumped"] = ("clock", sync.jumped.astype(np.int8))
     for name in _BY_PLACE:
         data[name] = (("deployment", "axis"), getattr(sync, name))
     for name in _RECEIVERS:
@@ -111,6 +112,7 @@ def from_netcdf(path: str | Path) -> ClockSync:
             Note(str(a), str(b), int(c)) for a, b, c in zip(levels, texts, counts, strict=True)
         ),
         reference=str(d.attrs["reference"]),
+        jumped=d["jumped"].values.astype(bool),
         **fields,
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from maloc.data import Detections, Note, Receivers
 from maloc.errors import FitError, InputError
 from maloc.sync import _arrivals, _model
-from maloc.sync._coarse import DRIFT, FEW, CoarseClock
+from maloc.sync._coarse import FEW, CoarseClock
 from maloc.sync._curve import to_common
 from maloc.sync._prepare import ECHO, SELF, SyncData, alignment_notes, collect, group, most_shared
 from maloc.sync.clocks import NS, ClockSync, SyncResiduals
@@ -120,9 +120,12 @@ def fit(
     )
     speed_sd = SPEED_SD if sound_speed is None else 0.0
     geometry = _arrivals.Geometry(xyz, float(free_positions), speed, speed_sd)
-    fitted = _model.solve(arrivals, geometry, start, first, spacing, ref)
-    if not np.isfinite(fitted.state).all() or not np.isfinite(fitted.sigma):
-        raise FitError("the clock model diverged; are the receivers' places and sync tags right?")
+    try:
+        fitted = _model.solve(arrivals, geometry, start, first, spacing, ref)
+    except np.linalg.LinAlgError as error:
+        raise FitError(
+            f"the clock model diverged ({error}); are the receivers' places and sync tags right?"
+        ) from error
 
     residual, p_direct = np.full(len(why), np.nan), np.full(len(why), np.nan)
     residual[used], p_direct[used] = fitted.residual, fitted.p_direct
@@ -161,6 +164,7 @@ def fit(
         slopes=slopes,
         values_sd=np.where(heard_by, fitted.state_sd[:, :, 0], np.nan).T,
         span=_spans(common, data.clock, why, len(names)),
+        jumped=np.array([j in clocks and clocks[j].jump != 0 for j in range(len(names))]),
         sigma=fitted.sigma,
         reflected=fitted.reflected,
         position_sd=np.where(place_used[:, None], fitted.xy_sd, 0.0),
@@ -198,9 +202,7 @@ def _start(
             return offset
 
         state[:, j, 0] = at(knots)
-        state[:, j, 1] = (at(knots + spacing / 2) - at(knots - spacing / 2)).clip(
-            -DRIFT * spacing, DRIFT * spacing
-        )
+        state[:, j, 1] = at(knots + spacing / 2) - at(knots - spacing / 2)
     return state
 
 

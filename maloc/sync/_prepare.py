@@ -155,10 +155,9 @@ def collect(
 
 
 def most_shared(data: SyncData, n_clocks: int) -> int:
-    """Receiver that shares most sync detections, its own tag's apart, with the others."""
+    """Receiver that shares most sync detections with the others."""
     heard = np.zeros((n_clocks, len(data.tags)))
-    other = data.source != data.place
-    np.add.at(heard, (data.clock[other], data.tag[other]), 1)
+    np.add.at(heard, (data.clock, data.tag), 1)
     shared = np.minimum(heard[:, None], heard[None]).sum(2)
     np.fill_diagonal(shared, 0)
     return int(shared.sum(1).argmax())
@@ -231,7 +230,8 @@ def alignment_notes(
         if clock.jump:
             text = (
                 f"the clock of receiver {names[j]} jumps (by {clock.jump:+.1f} s at most): only "
-                "the longest stretch without a jump is synchronised"
+                "the longest stretch without a jump is synchronised (a clock that jumped back "
+                "shows some times twice; those are taken as of that stretch)"
             )
             notes.append(Note("warning", text))
         if clock.ambiguous:

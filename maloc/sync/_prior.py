@@ -6,7 +6,7 @@ import numpy as np
 
 __all__ = ["ClockPrior", "Q_START"]
 
-START_SD = 1.0, 1e-5  # prior of the first knot about the coarse offset: s, s/s
+START_SD = 1.0, 5e-5  # prior of the first knot about the coarse offset: s, s/s
 Q_START, Q_RANGE = 1e-15, (1e-20, 1e-9)  # intensity of the walk, s^2/s^3
 _STEP = np.array([[1.0, 1.0], [0.0, 1.0]])  # [offset, slope] one knot on
 _NOISE_INVERSE = np.linalg.inv(np.array([[1 / 3, 0.5], [0.5, 1.0]]))

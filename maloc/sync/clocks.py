@@ -94,6 +94,8 @@ class ClockSync:
         Standard error of the offset, s.
     span : array (R, 2)
         First and last sync detection used of each receiver, common time, s; NaN as above.
+    jumped : array (R,) of bool
+        The clock jumped, and only its longest stretch is synchronised.
     sigma : float
         Error sd of direct arrivals, s.
     reflected : float
@@ -116,6 +118,7 @@ class ClockSync:
     slopes: np.ndarray
     values_sd: np.ndarray
     span: np.ndarray
+    jumped: np.ndarray
     sigma: float
     reflected: float
     position_sd: np.ndarray
@@ -195,7 +198,8 @@ class ClockSync:
         """Put detections on the common clock.
 
         A detection whose receiver is not synchronised, or that lies further than one knot spacing
-        from the receiver's sync detections, is set aside: left out, counted and noted.
+        before or after the receiver's sync detections, is set aside: left out, counted and noted.
+        Clocks that jumped are not carried on at all.
 
         Parameters
         ----------
@@ -209,7 +213,8 @@ class ClockSync:
         clock, common = self._common(detections.receiver, detections.time)
         span = np.nan_to_num(self.span)[np.maximum(clock, 0)]
         away = np.maximum(span[:, 0] - common, common - span[:, 1])
-        outside = (clock >= 0) & (away > self.spacing)
+        farthest = np.where(self.jumped[np.maximum(clock, 0)], 0.0, self.spacing)
+        outside = (clock >= 0) & (away > farthest)
         beyond = (clock >= 0) & (away > 0) & ~outside
         report = detections.report
         for rows, level, what in (
@@ -218,7 +223,7 @@ class ClockSync:
                 outside,
                 "warning",
                 f"set aside: more than {self.spacing / 60:.0f} min before the first or after the "
-                "last sync detection of their receiver",
+                "last sync detection of their receiver, or beyond a jump of its clock",
             ),
             (
                 beyond,

@@ -56,7 +56,7 @@ def simulate(
     n_tags = n_receivers if n_tags is None else n_tags
     if offsets is None:
         offsets = rng.uniform(-100, 100, n_receivers)
-        offsets[1:3] += rng.choice([-7200.0, 3600.0, 10800.0], 2)
+        offsets[1:3] += rng.choice([-7200.0, 3600.0, 10800.0], len(offsets[1:3]))
     slope = rng.uniform(-ppm, ppm, n_receivers) * 1e-6
     phase = rng.uniform(0, 2 * np.pi, n_receivers)
 
