@@ -1,0 +1,96 @@
+"""Posterior to xarray and ArviZ."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from maloc.data.model_data import ToaData
+
+if TYPE_CHECKING:
+    from maloc.infer.result import Fit
+
+__all__ = ["to_datatree", "to_inference_data"]
+
+
+def _groups(fit: Fit, n: int = 1000) -> dict:
+    """InferenceData's groups as xarray Datasets."""
+    import xarray as xr
+
+    from maloc import __version__
+
+    draws = fit.draws(n)
+    attrs = {"inference_library": "maloc", "inference_library_version": __version__}
+    attrs |= {"method": fit.method, "model": fit.model_name}
+    chain_path = {s.name for s in fit.cm.chain}
+    variables = {}
+    for name, value in draws.items():
+        dims = ["chain", "draw"]
+        for axis, size in enumerate(value.shape[2:]):
+            if axis == 0 and size == fit.n_states and (name in chain_path or value.ndim > 2):
+                dims.append("ping")
+            elif size == 2 and name in ("track", "position") and axis == value.ndim - 3:
+                dims.append("axis")
+            else:
+                dims.append(f"{name}_dim_{axis}")
+        variables[name] = (dims, value)
+    shape = next(iter(draws.values())).shape[:2]
+    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    groups = {"posterior": xr.Dataset(variables, coords, attrs)}
+    pointwise = fit.pointwise(n)
+    groups["log_likelihood"] = xr.Dataset(
+        {k: (("chain", "draw", "detection"), v) for k, v in pointwise.items()}, coords, attrs
+    )
+    stats = getattr(fit, "stats", {})
+    rename = {"potential": "energy", "steps": "n_steps", "accept": "acceptance_rate"}
+    groups["sample_stats"] = xr.Dataset(
+        {
+            rename.get(k, k): (("chain", "draw")[: np.ndim(v)], np.asarray(v))
+            for k, v in stats.items()
+        },
+        coords if stats else None,
+        attrs,
+    )
+    if fit.args and isinstance(fit.args[0], ToaData):
+        groups |= _toa_groups(fit, fit.args[0], list(pointwise))
+    return groups
+
+
+def _toa_groups(fit: Fit, data: ToaData, names: list[str]) -> dict:
+    import xarray as xr
+
+    n = fit.n_states
+    heard = np.asarray(data.heard)[:n]
+    rows, columns = np.nonzero(heard)
+    observed = {
+        name: (("detection",), np.asarray(data.range)[:n][heard]) for name in names if name == "arrival"
+    }
+    constant = {
+        "detection_ping": (("detection",), rows),
+        "detection_receiver": (("detection",), columns),
+        "receiver_xy": (("receiver", "axis"), np.asarray(data.receiver_xy)),
+        "first_arrival": (("ping",), np.asarray(data.time)[:n]),
+        "sound_speed": (("ping",), np.asarray(data.speed)[:n]),
+    }
+    return {
+        "observed_data": xr.Dataset(observed),
+        "constant_data": xr.Dataset(constant),
+    }
+
+
+def to_datatree(fit: Fit):
+    """All groups as one `xarray.DataTree`; what ``posterior.nc`` holds."""
+    import xarray as xr
+
+    groups = {f"/{name}": group for name, group in _groups(fit).items()}
+    return xr.DataTree.from_dict({"/": xr.Dataset(attrs={"creator": "maloc"}), **groups})
+
+
+def to_inference_data(fit: Fit):
+    """All groups as ArviZ InferenceData (arviz < 1) or the DataTree that arviz 1 takes."""
+    import arviz as az
+
+    if hasattr(az, "InferenceData") and isinstance(az.InferenceData, type):
+        return az.InferenceData(**_groups(fit))
+    return to_datatree(fit)

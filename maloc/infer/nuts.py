@@ -1,0 +1,198 @@
+"""Exact sampling: NUTS or jittered HMC in the coordinates that the Laplace fit whitens.
+
+The Laplace fit only chooses coordinates; the target is the model's own posterior. Chains are looked
+after: one that diverges, hangs or sits in another place than the rest is run again from a new start,
+and what cannot be mended is said in ``warnings``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from maloc._jax import jax
+from maloc.errors import FitError
+from maloc.infer._diagnostics import ess_bulk, r_hat
+from maloc.infer._hmc import CHUNK, Chunk, Kernel, kernels
+from maloc.infer._map import make_map
+from maloc.infer.laplace import laplace
+from maloc.infer.result import LaplaceFit, SampledFit
+
+__all__ = ["nuts"]
+
+_RETRIES = 2
+
+
+def nuts(
+    key,
+    model: Callable | LaplaceFit,
+    *args,
+    chains: int = 2,
+    draws: int = 1000,
+    warmup: int = 200,
+    method: str = "nuts",
+    target_accept: float = 0.8,
+    progress: bool = True,
+    path: tuple[str, ...] | None = None,
+    positions: np.ndarray | None = None,
+    **options,
+) -> SampledFit:
+    """Sample a chain-structured NumPyro model.
+
+    Parameters
+    ----------
+    key : jax.Array
+        Random key (``jax.random.key(seed)``).
+    model : callable or LaplaceFit
+        Model, as for `laplace`, or a Laplace fit of it (then no ``args``).
+    *args
+        The model's arguments.
+    chains, draws, warmup : int
+        Chains (two or more), draws kept of each, and draws for step size adaptation before them;
+        draws are taken in chunks of 50.
+    method : {"nuts", "hmc"}
+        NumPyro's NUTS, or HMC of jittered length on the same map (faster where the posterior is
+        nearly Gaussian).
+    target_accept : float
+        Target acceptance probability.
+    progress : bool
+        Show a progress bar on stderr.
+    path, positions, **options
+        As for `laplace`.
+
+    Returns
+    -------
+    SampledFit
+        Interrupted by the keyboard, the draws so far, with a warning.
+
+    Raises
+    ------
+    FitError
+        If fewer than two chains could be brought to work.
+
+    References
+    ----------
+    Hoffman & Gelman (2014) J. Mach. Learn. Res. 15: 1593-1623; Neal (2011) MCMC using Hamiltonian
+    dynamics.
+    """
+    if chains < 2:
+        raise ValueError("chains must be 2 or more: one chain cannot show that it has converged")
+    if method not in ("nuts", "hmc"):
+        raise ValueError(f"method must be 'nuts' or 'hmc', not {method!r}")
+    if isinstance(model, LaplaceFit):
+        start = model
+    else:
+        start = laplace(model, *args, path=path, positions=positions, **options)
+    cm, data, stages = start.cm, start.args, start.seconds
+    with stages.time("map"):
+        mapping = make_map(cm, data, start.marginal)
+    chunks = -(-draws // CHUNK)
+    warm = -(-warmup // CHUNK)
+    kernel = kernels(cm, method, warm * CHUNK, target_accept)
+    bar = _bar(chains * (warm + chunks) * CHUNK, progress, method)
+    runs: list[list[Chunk]] = []
+    sizes: list[float] = []
+    warnings: list[str] = list(start.warnings)
+    keys = iter(jax.random.split(key, chains * (1 + _RETRIES)))
+    retries = _RETRIES * (chains - 1)
+    try:
+        with stages.time("sampling"):
+            while len(runs) < chains:
+                run, size = _run_chain(next(keys), kernel, mapping, data, warm, chunks, bar)
+                why = _unhealthy(run)
+                if why and retries:
+                    retries -= 1
+                    warnings.append(f"a chain was run again from another start: {why}")
+                    bar.total += (warm + chunks) * CHUNK
+                    continue
+                if why:
+                    warnings.append(f"chain {len(runs)} is not to be trusted: {why}")
+                runs.append(run)
+                sizes.append(size)
+    except _Interrupted as stop:
+        runs.append(stop.run)
+        runs = [r for r in runs if r]
+        if len(runs) < 2 and sum(map(len, runs)) < 2:
+            raise KeyboardInterrupt from None
+        warnings.append("interrupted: the draws so far are kept")
+    finally:
+        bar.close()
+    x, u, stats = _stack(runs)
+    stats["step_size"] = np.asarray(sizes)
+    fit = SampledFit(cm, data, start.options, stages, (), method, x, u, stats)
+    fit.warnings = (*warnings, *_convergence(fit))
+    return fit
+
+
+class _Interrupted(Exception):
+    def __init__(self, run: list[Chunk]) -> None:
+        self.run = run
+
+
+def _bar(total: int, show: bool, label: str):
+    from tqdm import tqdm
+
+    return tqdm(total=total, disable=not show, desc=label, unit="draw", leave=False)
+
+
+def _run_chain(key, kernel: Kernel, mapping, data, warm: int, chunks: int, bar):
+    """One chain: its chunks after warm-up, and its step size."""
+    run: list[Chunk] = []
+    try:
+        state = kernel.start(key, mapping, data)
+        for i in range(warm + chunks):
+            state, chunk = kernel.advance(state, mapping, data, i < warm)
+            if i >= warm:
+                run.append(Chunk(*(np.asarray(part) for part in chunk)))
+            bar.update(CHUNK)
+    except KeyboardInterrupt:
+        raise _Interrupted(run) from None
+    return run, kernel.step_size(state)
+
+
+def _unhealthy(run: list[Chunk]) -> str:
+    """Why a chain cannot be believed; empty if it can."""
+    energy = np.concatenate([c.potential for c in run])
+    accept = np.concatenate([c.accept for c in run])
+    diverging = int(np.concatenate([c.diverging for c in run]).sum())
+    if not np.isfinite(energy).all():
+        return "its density is not finite"
+    if diverging:
+        return f"{diverging} divergent transitions"
+    if accept.mean() < 0.4:
+        return f"acceptance {accept.mean():.2f}: the step size collapsed or the chain hangs"
+    if len(np.unique(energy)) < 0.1 * len(energy):
+        return "it hangs at one place"
+    return ""
+
+
+def _stack(runs: list[list[Chunk]]):
+    """Draws (chain, draw, ...) cut to the shortest chain, and statistics by name."""
+    n = min(len(run) for run in runs)
+    if n == 0:
+        raise FitError("interrupted before two chains had draws")
+    parts = [
+        np.stack([np.concatenate([c[i] for c in run[:n]]) for run in runs]) for i in range(6)
+    ]
+    names = ("potential", "steps", "accept", "diverging")
+    return parts[0], parts[1], dict(zip(names, parts[2:], strict=True))
+
+
+def _convergence(fit: SampledFit) -> list[str]:
+    """Sentences on what has not converged."""
+    said = []
+    worst_u = np.max(r_hat(fit.u), initial=0.0)
+    if worst_u > 1.05:
+        said.append(f"parameters have not converged: R-hat up to {worst_u:.2f}; draw more")
+    states = r_hat(fit.x[:, :, : fit.n_states])
+    bad = (states > 1.05).any(axis=tuple(range(1, states.ndim)))
+    if bad.any():
+        said.append(
+            f"{int(bad.sum())} of {fit.n_states} states have R-hat above 1.05: several modes, or too "
+            "few draws"
+        )
+    low = np.min(ess_bulk(fit.u), initial=np.inf)
+    if low < 100:
+        said.append(f"a parameter has only {low:.0f} effective draws; draw more")
+    return said
