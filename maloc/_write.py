@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["file_name", "sampler_health", "summary", "write_track"]
 
+LEGEND_ROWS = 3
 PNG = {"dpi": 110, "pil_kwargs": {"compress_level": 1}}  # quick to write; a little larger
 
 
@@ -77,24 +78,34 @@ def map_figure(
         track(
             table,
             source.receivers if i == 0 else None,
-            label=tag if several else "posterior mean, 95 % ellipses",
+            label=tag if several else "posterior mean and 95 % (dark to light: time)",
             colour=CYCLE[i % len(CYCLE)] if several else None,
             ax=ax,
         )
     names = ", ".join(f.toa.tag for f in fitted if f.toa.tag)
-    figure.text(0.1, 0.965, names[:90] or "Track", fontsize=12, fontweight="bold")
     mirrored = any(f.line is not None for f in fitted)
-    note = "Receivers on one line: the mirror image fits as well. " if mirrored else ""
-    figure.text(0.1, 0.945, note, fontsize=9, color="#B04000")
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, frameon=False, fontsize=8)
-    # the page follows the map: no empty band above or below a long array
+    note = "Receivers on one line: the mirror image fits as well." if mirrored else ""
+    # legend: each label once, above the map; the page follows the map's shape
+    entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    shown = list(entries)[: 4 * LEGEND_ROWS]
+    ax.legend(
+        [entries[k] for k in shown],
+        shown,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=4,
+        frameon=False,
+        fontsize=8,
+    )
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
     ratio = float(np.clip((y1 - y0) / (x1 - x0), 0.35, 1.6))
-    figure.set_size_inches(8.0, 8.0 * 0.87 * ratio + 1.4)
-    height = figure.get_size_inches()[1]
-    ax.set_position((0.1, 0.6 / height, 0.87, 1 - 1.4 / height))
-    for text, up in zip(figure.texts, (0.25, 0.47), strict=True):
-        text.set_y(1 - up / height)
+    top, bottom = 0.6 + 0.2 * -(-len(shown) // 4), 0.6  # inches
+    height = 8.0 * 0.87 * ratio + top + bottom
+    figure.set_size_inches(8.0, height)
+    ax.set_position((0.1, bottom / height, 0.87, 1 - (top + bottom) / height))
+    title = names if len(names) <= 75 else f"{len(fitted)} tags"
+    figure.text(0.1, 1 - 0.28 / height, title or "Track", fontsize=12, fontweight="bold")
+    figure.text(0.1, 1 - 0.5 / height, note, fontsize=9, color="#B04000")
     return figure
 
 

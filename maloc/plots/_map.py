@@ -114,9 +114,8 @@ def draw_map(
     ellipses(~heard, facecolors="none", edgecolors=PALE, linewidths=0.7, zorder=2)
     ellipses(heard, facecolors=colour, edgecolors="none", alpha=0.16, zorder=2)
     if mirror is not None:
-        ax.plot(
-            *np.asarray(mirror).T, color=CYCLE[3], lw=1.1, ls="--", zorder=3, label="mirror image"
-        )
+        other = np.asarray(mirror, float)
+        ax.plot(*other.T, color=colour, lw=1.0, ls=(0, (3, 2)), zorder=3, label="mirror image")
     ax.plot(*mean.T, color=colour, lw=1.0, alpha=0.8, zorder=3, label=label)
     shown = mean[heard]
     if time is not None and len(shown):
