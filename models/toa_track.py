@@ -1,8 +1,8 @@
 """Track from arrival times: a moving tag, latent emission times, arrivals that may be reflected.
 
 State-space model of Campbell et al.'s kaltoa and of YAPS in one: CTCRW (Johnson et al. 2008) or
-Brownian movement, an emission time for every heard ping, ddetect (Campbell et al. 2025), Gaussian or
-Student t arrival errors, sound speed given or estimated, burst interval unknown, random within
+Brownian movement, an emission time for every heard ping, ddetect (Campbell et al. 2025), Gaussian
+or Student t arrival errors, sound speed given or estimated, burst interval unknown, random within
 limits, or stable with jitter.
 """
 
@@ -35,9 +35,9 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
 
     Notes
     -----
-    Sites: ``track`` (T, 2, 2) m and m/s, or (T, 2) m; ``emission`` (T,) m: c (emission time - first
-    arrival), so minus the distance to the first receiver where that arrival is direct. ``sigma`` (m)
-    is the direct arrivals' error in time, times c.
+    Sites: ``track`` (T, 2, 2) m and m/s, or (T, 2) m; ``emission`` (T,) m: c (emission time -
+    first arrival), so minus the distance to the first receiver where that arrival is direct.
+    ``sigma`` (m) is the direct arrivals' error in time, times c.
     """
     data = as_toa_data(toa)
     if movement == "ctcrw":

@@ -1,8 +1,8 @@
 """Arrival times as the models see them: padded arrays of one shape per bucket.
 
-Pings that nobody heard are not states of the chain (they carry no arrival time; their positions are
-predicted afterwards), so row ``t`` here is the ``t``-th heard ping. Padding pings continue the chain
-with nothing heard: they integrate out of every posterior exactly.
+Pings that nobody heard are not states of the chain (they carry no arrival time; their positions
+are predicted afterwards), so row ``t`` here is the ``t``-th heard ping. Padding pings continue
+the chain with nothing heard: they integrate out of every posterior exactly.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
 
 _MIN_LATENESS = 0.25  # s; receivers are blanked about this long after a detection
+_MIN_STEP = 1e-3  # s; two pings at one instant still need a step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,13 +139,14 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
     pings = bucket(n_pings) if pad else n_pings
     columns = -(-n_receivers // 4) * 4 if pad else n_receivers
     more, wider = pings - n_pings, columns - n_receivers
-    step = float(np.median(np.diff(first))) if n_pings > 1 else 60.0
+    steps = np.maximum(np.diff(first), _MIN_STEP)
+    step = float(np.median(steps)) if n_pings > 1 else 60.0
     rows_and_columns = ((0, more), (0, wider))
     return ToaData(
         range=jnp.asarray(np.pad(ranges, rows_and_columns)),
         heard=jnp.asarray(np.pad(heard, rows_and_columns)),
         time=jnp.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
-        dt=jnp.asarray(np.append(np.diff(first), np.full(more, step))),
+        dt=jnp.asarray(np.append(steps, np.full(more, step))),
         speed=jnp.asarray(np.append(speed, np.full(more, speed[-1]))),
         receiver_xy=jnp.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
         centre=jnp.asarray(centre),

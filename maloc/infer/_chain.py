@@ -1,7 +1,8 @@
 """Block-tridiagonal algebra on LAPACK's band storage; knows no fish.
 
-A chain of T states of d numbers has a precision matrix with d x d blocks on and beside the diagonal.
-It is kept as a lower band matrix (2 d, T d), ``band[i - j, j] = H[i, j]``, and factored as L L'.
+A chain of T states of d numbers has a precision matrix with d x d blocks on and beside the
+diagonal. It is kept as a lower band matrix (2 d, T d), ``band[i - j, j] = H[i, j]``, and factored
+as L L'.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Convergence diagnostics of Markov chains: rank-normalised split R-hat, bulk and tail ESS.
 
-Vehtari, Gelman, Simpson, Carpenter & Burkner (2021) Rank-normalization, folding, and localization.
-Bayesian Analysis 16(2): 667-718. Vectorised over thousands of coordinates, which ArviZ is not; tests
-compare the two.
+Vehtari, Gelman, Simpson, Carpenter & Burkner (2021) Rank-normalization, folding, and
+localization. Bayesian Analysis 16(2): 667-718. Vectorised over thousands of coordinates, which
+ArviZ is not; tests compare the two.
 """
 
 from __future__ import annotations

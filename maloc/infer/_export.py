@@ -64,7 +64,9 @@ def _toa_groups(fit: Fit, data: ToaData, names: list[str]) -> dict:
     heard = np.asarray(data.heard)[:n]
     rows, columns = np.nonzero(heard)
     observed = {
-        name: (("detection",), np.asarray(data.range)[:n][heard]) for name in names if name == "arrival"
+        name: (("detection",), np.asarray(data.range)[:n][heard])
+        for name in names
+        if name == "arrival"
     }
     constant = {
         "detection_ping": (("detection",), rows),

@@ -102,9 +102,9 @@ class _HmcState(NamedTuple):
 def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
     """HMC of fixed length +-30 %, the jitter drawn anew for every draw.
 
-    The whitened target is so near to N(0, I) that one length suits all coordinates, which spares the
-    doubling and the turning checks of NUTS. The step size follows the acceptance rate a chunk at a
-    time during warm-up (Robbins-Monro on its logarithm) and is then held.
+    The whitened target is so near to N(0, I) that one length suits all coordinates, which spares
+    the doubling and the turning checks of NUTS. The step size follows the acceptance rate a chunk
+    at a time during warm-up (Robbins-Monro on its logarithm) and is then held.
     """
     value_and_grad = jax.value_and_grad(lambda white, m, args: potential(cm, white, m, args))
 

@@ -2,10 +2,10 @@
 
     u = u_hat + C zeta,   x = x_hat + B (u - u_hat) + W (z exp(-S (u - u_hat)))
 
-W is the inverse transposed factor of the path's precision, cut to a few states ahead (a multiply, not
-a scan); B moves the mode with the parameters; S lets the widths follow them: without it the widths
-are wrong wherever the parameters are not at their mode, and trajectories get long. The log Jacobian
-is part of the density, so the target is exact whatever the map.
+W is the inverse transposed factor of the path's precision, cut to a few states ahead (a multiply,
+not a scan); B moves the mode with the parameters; S lets the widths follow them: without it the
+widths are wrong wherever the parameters are not at their mode, and trajectories get long. The log
+Jacobian is part of the density, so the target is exact whatever the map.
 """
 
 from __future__ import annotations

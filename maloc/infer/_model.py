@@ -1,9 +1,10 @@
 """A NumPyro model seen as a chain: flat path, flat parameters, and jitted derivatives of both.
 
-The latent sites that are Markov in time (``is_chain`` on the distribution, ``infer={"is_chain": True}``
-on the site, or named by the caller) are flattened to a path of shape (T, d); all other latent sites to
-a vector of unconstrained parameters. The Hessian in the path is then block-tridiagonal, and its blocks
-come from 3 d coloured Hessian-vector products, whatever the model.
+The latent sites that are Markov in time (``is_chain`` on the distribution, ``infer={"is_chain":
+True}`` on the site, or named by the caller) are flattened to a path of shape (T, d); all other
+latent sites to a vector of unconstrained parameters. The Hessian in the path is then
+block-tridiagonal, and its blocks come from 3 d coloured Hessian-vector products, whatever the
+model.
 """
 
 from __future__ import annotations
@@ -148,8 +149,7 @@ class ChainModel:
     def flat_globals(self, values: dict) -> np.ndarray:
         """Natural parameter values as one unconstrained vector (k,)."""
         parts = [
-            np.ravel(s.transform._inverse(jnp.asarray(values[s.name], float)))
-            for s in self.globals
+            np.ravel(s.transform._inverse(jnp.asarray(values[s.name], float))) for s in self.globals
         ]
         return np.concatenate(parts) if parts else np.zeros(0)
 

@@ -2,9 +2,9 @@
 
 Arrival-time models start with every ping in the middle of the array and are annealed: errors are
 widened to the size of the array and narrowed step by step, so that the track as a whole finds its
-place before single arrivals are believed. Then each ping is asked whether another emission time (or
-its neighbours' position) explains it better, which frees pings left behind with all arrivals "late".
-Point positions (population Monte Carlo) can be given in place of the centre.
+place before single arrivals are believed. Then each ping is asked whether another emission time
+(or its neighbours' position) explains it better, which frees pings left behind with all arrivals
+"late". Point positions (population Monte Carlo) can be given in place of the centre.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def initial_values(
     if emission is not None:
         x[:, emission] = -_nearest(data, xy)
     receivers = np.asarray(data.receiver_xy)[np.asarray(data.heard).any(axis=0)]
-    reach = 0.5 * np.linalg.norm(np.ptp(receivers, axis=0))
+    reach = 0.5 * float(np.linalg.norm(np.ptp(receivers, axis=0)))
     coarse = tuple(reach / 2.0**i for i in range(10) if reach / 2.0**i > 150)
     x = anneal(cm, args, x, u, coarse + _FINE)
     for _ in range(3):
@@ -62,8 +62,8 @@ def initial_values(
 def repair(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, rounds: int = 3):
     """Path in which no single ping can be explained better by another emission time.
 
-    Returns the path `x` (T, d) itself where nothing is gained; else the mode reached from the better
-    explanation, as long as its joint density is higher.
+    Returns the path `x` (T, d) itself where nothing is gained; else the mode reached from the
+    better explanation, as long as its joint density is higher.
     """
     if not (args and isinstance(args[0], ToaData)) or _column(cm, "emission") is None:
         return x
@@ -164,6 +164,7 @@ def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
     out = x.copy()
     place, choice = np.unravel_index(best[moved], score.shape[1:])
     rows = np.nonzero(moved)[0]
-    out[np.ix_(rows, columns)] = places[rows, place]
+    for axis, column in enumerate(columns):
+        out[rows, column] = places[rows, place, axis]
     out[rows, emission] = tried[rows, place, choice]
     return out, bool(moved.any())

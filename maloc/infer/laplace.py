@@ -1,4 +1,4 @@
-"""Laplace approximation: path mode, parameters by the marginal likelihood, exact chain covariances."""
+"""Laplace approximation: mode of the path, parameters by their marginal likelihood."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def laplace(
     Parameters
     ----------
     model : callable
-        A NumPyro model whose path sites are Markov in time (axis 0): any of `maloc.models`, or one of
-        your own. Path sites are those whose distribution has ``is_chain`` (CTCRW, Brownian), those
-        sampled with ``infer={"is_chain": True}``, or those named in ``path``.
+        A NumPyro model whose path sites are Markov in time (axis 0): any of `maloc.models`, or
+        one of your own. Path sites are those whose distribution has ``is_chain`` (CTCRW,
+        Brownian), those sampled with ``infer={"is_chain": True}``, or those named in ``path``.
     *args
         The model's arguments: arrays, pytrees of arrays, or data containers such as `ArrivalTimes`.
     path : tuple of str, optional
@@ -48,8 +48,8 @@ def laplace(
     Raises
     ------
     FitError
-        If the model has no chain, or no finite mode is found; a fit that ends short of its optimum is
-        returned with a sentence in ``warnings``.
+        If the model has no chain, or no finite mode is found; a fit that ends short of its
+        optimum is returned with a sentence in ``warnings``.
 
     References
     ----------

@@ -1,7 +1,8 @@
 """Laplace marginal likelihood of the parameters, with gradient, and its maximum.
 
-The path is integrated out by its mode and the log determinant of the clipped Gauss-Newton precision:
-the exact one is near-singular whenever a ping has two modes, and then rules the parameters.
+The path is integrated out by its mode and the log determinant of the clipped Gauss-Newton
+precision: the exact one is near-singular whenever a ping has two modes, and then rules the
+parameters.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ class MarginalFit(NamedTuple):
     """Maximum of the marginal likelihood.
 
     x : (T, d) mode of the path; u : (k,) unconstrained parameters; value : negative log marginal
-    posterior; factor : ChainFactor of the path's precision; slope : (k, T, d), d mode / d parameters;
-    covariance : (k, k) of u; evaluations : int; converged : bool.
+    posterior; factor : ChainFactor of the path's precision; slope : (k, T, d), d mode / d
+    parameters; covariance : (k, k) of u; evaluations : int; converged : bool.
     """
 
     x: np.ndarray

@@ -18,7 +18,7 @@ __all__ = ["Mode", "anneal", "find_mode"]
 
 
 class Mode(NamedTuple):
-    """A path at (or near) the maximum: x (T, d), negative log joint, steps taken, converged or not."""
+    """A path at (or near) the maximum: x (T, d), negative log joint, steps, converged or not."""
 
     x: np.ndarray
     value: float

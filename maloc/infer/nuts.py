@@ -1,8 +1,8 @@
 """Exact sampling: NUTS or jittered HMC in the coordinates that the Laplace fit whitens.
 
-The Laplace fit only chooses coordinates; the target is the model's own posterior. Chains are looked
-after: one that diverges, hangs or sits in another place than the rest is run again from a new start,
-and what cannot be mended is said in ``warnings``.
+The Laplace fit only chooses coordinates; the target is the model's own posterior. Chains are
+looked after: one that diverges, hangs or sits in another place than the rest is run again from a
+new start, and what cannot be mended is said in ``warnings``.
 """
 
 from __future__ import annotations
@@ -172,11 +172,10 @@ def _stack(runs: list[list[Chunk]]):
     n = min(len(run) for run in runs)
     if n == 0:
         raise FitError("interrupted before two chains had draws")
-    parts = [
-        np.stack([np.concatenate([c[i] for c in run[:n]]) for run in runs]) for i in range(6)
-    ]
+    parts = [np.stack([np.concatenate([c[i] for c in run[:n]]) for run in runs]) for i in range(6)]
     names = ("potential", "steps", "accept", "diverging")
-    return parts[0], parts[1], dict(zip(names, parts[2:], strict=True))
+    stats: dict[str, np.ndarray] = dict(zip(names, parts[2:], strict=True))
+    return parts[0], parts[1], stats
 
 
 def _convergence(fit: SampledFit) -> list[str]:
@@ -189,8 +188,8 @@ def _convergence(fit: SampledFit) -> list[str]:
     bad = (states > 1.05).any(axis=tuple(range(1, states.ndim)))
     if bad.any():
         said.append(
-            f"{int(bad.sum())} of {fit.n_states} states have R-hat above 1.05: several modes, or too "
-            "few draws"
+            f"{int(bad.sum())} of {fit.n_states} states have R-hat above 1.05: "
+            "several modes, or too few draws"
         )
     low = np.min(ess_bulk(fit.u), initial=np.inf)
     if low < 100:

@@ -1,4 +1,4 @@
-"""What a fit gives: draws, parameters, residuals, InferenceData; the same surface for every method."""
+"""What a fit gives: draws, parameters, residuals, InferenceData; one surface for all methods."""
 
 from __future__ import annotations
 

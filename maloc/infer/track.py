@@ -1,0 +1,191 @@
+"""From a fit to a track: one row a ping, heard or not.
+
+A heard ping's row comes straight from the posterior. A ping that nobody heard adds nothing to the
+likelihood, so its position is a prediction: times are drawn from what the schedule leaves open,
+then positions from the exact bridge of the movement between the states around it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from maloc import signal
+from maloc.data.arrivals import ArrivalTimes, Schedule
+from maloc.infer._bridge import bridge
+from maloc.infer.result import Fit
+
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = ["track_table"]
+
+_Z95 = 1.959963984540054
+_DRAWS = 1000
+
+
+class _Rows(NamedTuple):
+    """Columns of the track: emission time (s), position, sd and interval by axis, heard or not."""
+
+    t: np.ndarray
+    position: np.ndarray
+    covariance: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    n_receivers: np.ndarray
+
+
+def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
+    """Track of a fit as a table, every ping in order.
+
+    Parameters
+    ----------
+    fit : Fit
+        Fit of an arrival-time model (sites ``track``, ``emission_time``).
+    toa : ArrivalTimes
+        What was fitted, with pings that nobody heard.
+    seed : int
+        Seed of the draws for unheard pings.
+
+    Returns
+    -------
+    polars.DataFrame
+        Columns of track.csv: tag, time (ISO 8601 UTC or null), t (emission time, the input's
+        seconds), x, y, sd_x, sd_y (m), cov_xy (m2), x_lo, x_hi, y_lo, y_hi (central 95 %),
+        n_receivers, heard; and longitude, latitude where the receivers' frame is known.
+    """
+    rows = _join(_heard(fit, toa), _unheard(fit, toa, np.random.default_rng(seed)))
+    return _frame(rows, toa)
+
+
+def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
+    """Rows of the heard pings from the posterior's moments."""
+    mean, covariance = fit.moments()
+    columns = _position_columns(fit)
+    position = mean[:, columns]
+    covariance = covariance[:, columns][:, :, columns]
+    sd = np.sqrt(np.einsum("tii->ti", covariance))
+    if fit.method == "laplace":
+        low, high = position - _Z95 * sd, position + _Z95 * sd
+        x, u = fit.marginal.x, fit.marginal.u  # pyright: ignore[reportAttributeAccessIssue]
+        emission = np.asarray(fit.cm.natural(x, u, fit.args)["emission_time"])[: fit.n_states]
+    else:
+        x, _ = fit.flat_draws()
+        flat = x[:, :, : fit.n_states, columns].reshape(-1, fit.n_states, 2)
+        low, high = np.quantile(flat, [0.025, 0.975], axis=0)
+        emission = fit.draws()["emission_time"].mean(axis=(0, 1))
+    return _Rows(emission, position, covariance, low, high, toa.n_heard[toa.n_heard > 0])
+
+
+def _position_columns(fit: Fit) -> list[int]:
+    site = next(s for s in fit.cm.chain if s.name == "track")
+    return [site.columns.start, site.columns.start + 1]
+
+
+def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:
+    """Rows of pings that nobody heard: those of the input, and those the schedule calls for."""
+    gaps = _gaps(toa)
+    if not gaps:
+        return None
+    draws = fit.draws(_DRAWS)
+    track = draws["track"].reshape(-1, *draws["track"].shape[2:])
+    keep = np.linspace(0, len(track) - 1, min(len(track), _DRAWS)).astype(int)
+    track = track[keep]
+    emission = draws["emission_time"].reshape(-1, fit.n_states)[keep]
+    scale = {k: draws[k].ravel()[keep] for k in ("sigma_vel", "t05", "sigma_step") if k in draws}
+    parts = []
+    for k, n, schedule in gaps:
+        times = _times(rng, emission, k, n, schedule, len(keep))
+        places = bridge(rng, track, emission, k, times, scale)  # (draw, n, 2)
+        for i in range(n):
+            place = places[:, i]
+            low, high = np.quantile(place, [0.025, 0.975], axis=0)
+            covariance = np.cov(place.T)
+            parts.append((times[:, i].mean(), place.mean(axis=0), covariance, low, high))
+    columns = [np.array(c) for c in zip(*parts, strict=True)]
+    return _Rows(*columns, n_receivers=np.zeros(len(parts), int))
+
+
+def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
+    """Gaps with unheard pings: heard ping before it (-1 = before the first), how many, schedule."""
+    heard = np.flatnonzero(toa.n_heard > 0)
+    first = toa.first[heard]
+    known = np.diff(np.concatenate([[-1], heard, [toa.n_pings]])) - 1  # empty rows around
+    schedule = toa.schedule
+    if schedule.kind == "unknown":
+        alone = np.diff(heard) == 1
+        steps = np.diff(first)[alone] if alone.any() else np.diff(first) / np.diff(heard)
+        if len(steps) == 0:
+            return []
+        spread = max(float(np.std(steps)), 1e-3)
+        schedule = Schedule("stable", float(np.mean(steps)), spread)
+    gaps = [(-1, int(known[0]), schedule)] if known[0] else []
+    missed = np.zeros(max(len(heard) - 1, 0), int)
+    if toa.schedule.kind != "unknown" and len(first) > 1:
+        steps = np.diff(first)
+        chance = signal.estimate_p_missed(steps, toa.schedule)
+        missed = signal.missed_counts(steps, toa.schedule, chance).most_probable
+    for k in range(len(heard) - 1):
+        n = int(known[k + 1] or missed[k])
+        if n:
+            gaps.append((k, n, schedule))
+    if known[-1]:
+        gaps.append((len(heard) - 1, int(known[-1]), schedule))
+    return gaps
+
+
+def _times(rng, emission, k: int, n: int, schedule: Schedule, size: int) -> np.ndarray:
+    """Draws (size, n) of the unheard pings' emission times (s from the origin)."""
+    if 0 <= k < emission.shape[1] - 1:
+        gap = float(np.mean(emission[:, k + 1] - emission[:, k]))
+        offsets = signal.draw_missed_times(rng, gap, n, schedule, size)
+        share = offsets / gap  # the draw's own gap differs by milliseconds
+        return emission[:, k, None] + share * (emission[:, k + 1] - emission[:, k])[:, None]
+    if schedule.kind == "random":
+        steps = rng.uniform(schedule.lo, schedule.hi, (size, n))
+    else:
+        steps = np.maximum(rng.normal(schedule.lo, schedule.hi, (size, n)), 1e-3)
+    ends = np.cumsum(steps, axis=1)
+    return emission[:, :1] - ends[:, ::-1] if k < 0 else emission[:, -1:] + ends
+
+
+def _join(heard: _Rows, unheard: _Rows | None) -> _Rows:
+    if unheard is None:
+        return heard
+    both = _Rows(*(np.concatenate(pair) for pair in zip(heard, unheard, strict=True)))
+    order = np.argsort(both.t, kind="stable")
+    return _Rows(*(column[order] for column in both))
+
+
+def _frame(rows: _Rows, toa: ArrivalTimes) -> pl.DataFrame:
+    import polars as pl
+
+    from maloc.data._time import iso
+
+    sd = np.sqrt(np.einsum("tii->ti", rows.covariance))
+    time: list[str | None] = [None] * len(rows.t)
+    t = rows.t
+    if toa.origin is not None:
+        time = [iso(toa.origin + round(s * 1e9)) for s in rows.t]
+        t = toa.origin / 1e9 + rows.t
+    columns = {
+        "tag": [toa.tag] * len(t),
+        "time": time,
+        "t": t,
+        "x": rows.position[:, 0],
+        "y": rows.position[:, 1],
+        "sd_x": sd[:, 0],
+        "sd_y": sd[:, 1],
+        "cov_xy": rows.covariance[:, 0, 1],
+        "x_lo": rows.low[:, 0],
+        "x_hi": rows.high[:, 0],
+        "y_lo": rows.low[:, 1],
+        "y_hi": rows.high[:, 1],
+        "n_receivers": rows.n_receivers,
+        "heard": rows.n_receivers > 0,
+    }
+    if toa.receivers.crs is not None:
+        lon, lat = toa.receivers.lonlat(rows.position[:, 0], rows.position[:, 1])
+        columns |= {"longitude": lon, "latitude": lat}
+    return pl.DataFrame(columns, schema_overrides={"time": pl.String})
