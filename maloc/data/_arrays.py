@@ -85,6 +85,9 @@ def frame(data: Any):
 
 
 def _column(values: Any) -> Any:
+    zone = getattr(getattr(values, "dtype", None), "tz", None)
+    if zone is not None:  # pandas: times with a zone would come out as objects
+        values = values.dt.tz_convert("UTC").dt.tz_localize(None)
     to_numpy = getattr(values, "to_numpy", None)
     out = to_numpy() if to_numpy else values
     return list(out) if getattr(getattr(out, "dtype", None), "kind", "") == "O" else out

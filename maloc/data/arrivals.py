@@ -281,4 +281,5 @@ class ArrivalTimes:
         return (
             f"ArrivalTimes{name}: {self.n_pings} pings ({int((heard == 0).sum())} unheard) x "
             f"{self.n_receivers} receivers, {mean:.1f} heard a ping, {length}{when}{aside}"
+            f"{self.report.flag}"
         )

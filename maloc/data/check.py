@@ -193,7 +193,7 @@ def _of_detections(d: Detections) -> tuple[str, ...]:
 
 def _of_receivers(r: Receivers) -> tuple[str, ...]:
     names = ", ".join(r.names[:MOST]) + (", ..." if len(r.names) > MOST else "")
-    return (repr(r).removeprefix("Receivers: "), names)
+    return (repr(r).removeprefix("Receivers: ").removesuffix(r.report.flag), names)
 
 
 def _of_matrix(path: str | Path, receivers: Receivers | None) -> FileCheck:
@@ -207,7 +207,8 @@ def _of_matrix(path: str | Path, receivers: Receivers | None) -> FileCheck:
         a: ArrivalTimes = read_toa(path, receivers)
     except InputError as e:
         return FileCheck(name, kind, (), (_as_note(e, name),))
-    return FileCheck(name, kind, (repr(a).removeprefix("ArrivalTimes: "),), a.report.notes)
+    text = repr(a).removeprefix("ArrivalTimes: ").removesuffix(a.report.flag)
+    return FileCheck(name, kind, (text,), a.report.notes)
 
 
 def _odd(d: Detections) -> list[Note]:

@@ -124,17 +124,22 @@ class Detections:
     def from_frame(cls, data: Any, report: ReadReport | None = None) -> Detections:
         """Build from a dataframe with columns time (datetime or ns), receiver, tag, and others.
 
+        Any other layout that `maloc.read_detections` knows, and times as text, are read as there.
+
         Raises
         ------
         InputError
-            If one of the three columns is missing or has missing values.
+            If the columns fit no known layout, or an id or a time is missing.
         """
         import polars as pl
 
         df = _arrays.frame(data)
+        whole = {"time", "receiver", "tag"} <= set(df.columns)
+        if not whole or df["time"].dtype == pl.String:
+            from maloc.data.readers._recognise import read_frame
+
+            return read_frame(df)
         for name in ("time", "receiver", "tag"):
-            if name not in df.columns:
-                raise InputError(f"column '{name}' is missing; columns: {', '.join(df.columns)}")
             if df[name].null_count():
                 raise InputError(f"{df[name].null_count()} missing values", column=name)
         time = df["time"]
@@ -190,5 +195,5 @@ class Detections:
         return (
             f"Detections: {len(self)} of {tags} tag{'s' * (tags != 1)} by {receivers} "
             f"receiver{'s' * (receivers != 1)}, {iso(first)} to {iso(last)} UTC "
-            f"({duration((last - first) / NS)})"
+            f"({duration((last - first) / NS)}){self.report.flag}"
         )

@@ -160,6 +160,18 @@ class _Work:
             else:
                 why, s = f"receiver {name} is not in the table", "of a receiver not in the table:"
             self.drop(gone, [why] * int(gone.sum()), f"detections {s} {name}", "warning")
+        self.drop_whole_seconds()
+
+    def drop_whole_seconds(self) -> None:
+        """Set aside a receiver whose times were exported without fractions, others having them."""
+        whole = self.detections.time[self.rows] % NS == 0
+        names = self.detections.receiver[self.rows]
+        for name in np.unique(names[whole]):
+            mine = self.detections.receiver[self.rows] == name
+            if mine.sum() >= 5 and whole[mine].all():
+                why = ["whole-second time"] * int(mine.sum())
+                whole = whole[~mine]
+                self.drop(mine, why, f"detections of {name} are at whole seconds", "warning")
 
     def drop_echoes(self, window: float) -> None:
         """Keep the first of several detections within `window` s at one receiver."""

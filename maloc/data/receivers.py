@@ -223,7 +223,8 @@ class Receivers:
         tags = int((self.sync_tag != "").sum())
         span = f"{np.ptp(self.x):.0f} x {np.ptp(self.y):.0f} m"
         frame = self.crs or "local frame"
-        return f"Receivers: {names}{moved}, {span}, {frame}, {tags} with a sync tag"
+        flag = self.report.flag
+        return f"Receivers: {names}{moved}, {span}, {frame}, {tags} with a sync tag{flag}"
 
 
 def _serial(name: str) -> str:

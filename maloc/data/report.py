@@ -101,6 +101,12 @@ class ReadReport:
                 where = "" if n.file is None else f"{n.file}: "
                 warnings.warn(f"{where}{n.text}", MalocWarning, stacklevel=stacklevel)
 
+    @property
+    def flag(self) -> str:
+        """Return ", 2 warnings (see .report)" for a repr; "" when there is nothing to warn of."""
+        n = len(self.warnings) + len(self.errors)
+        return f", {n} warning{'s' * (n != 1)} (see .report)" if n else ""
+
     @classmethod
     def merge(cls, reports: Iterable[ReadReport]) -> ReadReport:
         """Join reports: formats and files without repeats, rows added, notes in order."""

@@ -234,3 +234,19 @@ def test_reprs_say_what_is_there():
     assert "2 of 2 tags by 2 receivers" in repr(detections())
     assert "3, 100 x 80 m" in repr(receivers())
     assert repr(Detections([], [], [])) == "Detections: none"
+
+
+def test_frames_of_pandas_and_of_text():
+    import pandas as pd
+
+    times = pd.to_datetime([T0, T0 + 5]).tz_localize("UTC")
+    df = pd.DataFrame({"time": times, "receiver": ["1", "2"], "tag": ["A", "B"], "snr": [1.0, 2.0]})
+    for other in (df, df.assign(time=df["time"].dt.tz_convert("Asia/Tokyo"))):
+        d = Detections.from_frame(other)
+        assert d.time.tolist() == [T0, T0 + 5] and d.extra["snr"].tolist() == [1.0, 2.0]
+    text = pl.DataFrame({"epo": ["1622548800"], "frac": ["0.25"], "serial": ["7"], "tag": ["A"]})
+    assert Detections.from_frame(text).time.tolist() == [1622548800 * 10**9 + 250_000_000]
+    with pytest.raises(InputError, match="unknown header"):
+        Detections.from_frame(pl.DataFrame({"a": [1]}))
+    with pytest.raises(InputError, match="1 missing values"):
+        Detections.from_frame(detections().to_frame().with_columns(tag=pl.Series(["A", None])))

@@ -184,3 +184,13 @@ def test_default_sound_speed_is_said():
     toa = toa_matrix(d, r, "1", origin=START)
     assert toa.origin == START and (toa.sound_speed == 1500).all()
     assert any("1500 m/s assumed" in n.text for n in toa.report.warnings)
+
+
+def test_a_receiver_exported_without_fractions_is_set_aside():
+    d, r, ping, echo = simulate(np.random.default_rng(8), ARRAYS["bay"][0], 60, (20, 40))
+    bad = d.receiver == "R4"
+    time = np.where(bad, d.time // 10**9 * 10**9, d.time)
+    toa = toa_matrix(Detections(time, d.receiver, d.tag), r, "1", sound_speed=C)
+    assert sorted(toa.set_aside.detection) == np.flatnonzero(bad).tolist()
+    assert set(toa.set_aside.why) == {"whole-second time"}
+    assert share_right(toa, ping, echo | bad) == 1.0
