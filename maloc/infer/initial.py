@@ -44,7 +44,7 @@ def initial_values(
     data = args[0]
     u = cm.flat_globals(medians)
     x = np.zeros((length, cm.d))
-    xy = np.broadcast_to(np.asarray(data.centre), (length, 2)) if positions is None else positions
+    xy = np.broadcast_to(_middle(data), (length, 2)) if positions is None else positions
     _put_positions(cm, x, xy)
     emission = _column(cm, "emission")
     if emission is not None:
@@ -57,6 +57,20 @@ def initial_values(
         u = _moments(cm, args, x, u)
         x = find_mode(cm, args, x, u, method="robust", max_steps=4, tol=1e-2).x
     return repair(cm, args, x, u), u
+
+
+def _middle(data: ToaData) -> np.ndarray:
+    """Centre of the array; beside it where the receivers stand on one line.
+
+    The density is then symmetric about that line, and a path that starts on it would stay on it.
+    """
+    receivers = np.asarray(data.receiver_xy)[np.asarray(data.heard).any(axis=0)]
+    centre = np.asarray(data.centre)
+    if len(receivers) < 2:
+        return centre
+    _, size, axes = np.linalg.svd(receivers - receivers.mean(0), full_matrices=False)
+    on_line = size[1] <= max(1.0, 0.01 * size[0])
+    return centre + axes[1] * (size[0] / 4 if on_line else 0.0)
 
 
 def repair(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, rounds: int = 3):
