@@ -1,3 +1,4 @@
+# pyright: reportIndexIssue=false
 """Track from arrival times: a moving tag, latent emission times, arrivals that may be reflected.
 
 State-space model of Campbell et al.'s kaltoa and of YAPS in one: CTCRW (Johnson et al. 2008) or
