@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from maloc import arrival, errors, infer, models, movement, plots, simulate, sync
+    from maloc import arrival, errors, infer, models, movement, plots, signal, simulate, sync
     from maloc.data import (
         ArrivalTimes,
         Detections,
@@ -39,6 +39,7 @@ __all__ = [
     "read_detections",
     "read_receivers",
     "read_toa",
+    "signal",
     "simulate",
     "sync",
     "toa_matrix",
@@ -46,7 +47,7 @@ __all__ = [
 
 if not TYPE_CHECKING:
     _SUBMODULES = frozenset(
-        ["arrival", "errors", "infer", "models", "movement", "plots", "simulate", "sync"]
+        ["arrival", "errors", "infer", "models", "movement", "plots", "signal", "simulate", "sync"]
     )
 
     def __getattr__(name: str):
