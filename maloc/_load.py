@@ -54,9 +54,10 @@ class TrackOptions:
             )
         if self.interval and self.interval_stable:
             raise InputError("--interval and --interval-stable exclude one another")
-        for name in ("draws", "chains"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.draws < 1:
+            raise InputError(f"--draws must be at least 1, got {self.draws}")
+        if self.chains < 2:
+            raise InputError("--chains must be 2 or more: one chain cannot show it has converged")
         if self.toa is not None and (self.sync not in ("auto", "none") or self.reference):
             raise InputError("--toa is on one clock already", mend="leave --sync out")
         if self.detections and self.ignore_columns:

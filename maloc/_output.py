@@ -107,13 +107,14 @@ def finish_track(table: pl.DataFrame, receivers: Receivers, line: Line | None) -
 
     xy = table.select("x", "y").to_numpy().astype(float)
     extra: dict[str, np.ndarray] = {}
-    if receivers.crs is not None:
+    if receivers.crs is not None and "longitude" not in table.columns:
         extra["longitude"], extra["latitude"] = receivers.lonlat(xy[:, 0], xy[:, 1])
     if line is not None:
         extra["mirror_x"], extra["mirror_y"] = reflect(xy, line).T
     table = table.with_columns(**{k: pl.Series(k, v) for k, v in extra.items()})
-    rest = [c for c in table.columns if c not in TRACK and c not in extra]
-    return table.select(*TRACK, *extra, *rest)
+    known = [*TRACK, "longitude", "latitude", "mirror_x", "mirror_y"]
+    rest = [c for c in table.columns if c not in known]
+    return table.select(*(c for c in known if c in table.columns), *rest)
 
 
 def arrivals_table(fit: Any, toa: ArrivalTimes) -> pl.DataFrame:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc import _output
+from maloc.data._time import iso
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -165,6 +166,7 @@ def _tag_summary(fitted: Fitted) -> dict[str, Any]:
     toa, fit = fitted.toa, fitted.fit
     direct = np.asarray(fit.p_direct(), float)[toa.heard[toa.n_heard > 0]]
     return {
+        "second_0": None if toa.origin is None else iso(toa.origin),  # of the columns t
         "pings": toa.n_pings,
         "heard": int((toa.n_heard > 0).sum()),
         "unheard": int((toa.n_heard == 0).sum()),
@@ -189,7 +191,7 @@ def sampler_health(fit: Any) -> dict[str, Any] | None:
     """Worst R-hat and effective sample sizes over the parameters; None where nothing sampled."""
     if fit.method == "laplace":
         return None
-    rows = fit.parameters()
+    rows, stats = fit.parameters(), getattr(fit, "stats", {})
 
     def worst(name: str, pick: Any) -> float | None:
         values = [r[name] for r in rows if r.get(name) is not None and np.isfinite(r[name])]
@@ -199,7 +201,9 @@ def sampler_health(fit: Any) -> dict[str, Any] | None:
         "r_hat": worst("r_hat", max),
         "ess_bulk": worst("ess_bulk", min),
         "ess_tail": worst("ess_tail", min),
-        **{k: v for k, v in getattr(fit, "health", {}).items()},
+        "divergences": int(np.sum(stats["diverging"])) if "diverging" in stats else None,
+        "acceptance": float(np.mean(stats["accept"])) if "accept" in stats else None,
+        "step_size": stats.get("step_size"),
     }
 
 

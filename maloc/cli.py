@@ -231,7 +231,7 @@ def track(
     ] = "",
     crs: Crs = None,
     draws: Annotated[int, typer.Option(min=1, help="Posterior draws a chain.")] = 1000,
-    chains: Annotated[int, typer.Option(min=1, help="Chains of a sampler.")] = 2,
+    chains: Annotated[int, typer.Option(min=2, help="Chains of a sampler.")] = 2,
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,

@@ -479,3 +479,31 @@ def test_check_prints_what_it_found(tmp_path):
     result = run("check", detections_csv(tmp_path), bad)
     refused(result, "bad.csv")
     assert "32 detections" in result.stdout
+
+
+# -- with the real engine -------------------------------------------------------------------------
+
+
+def test_a_line_of_receivers_end_to_end(tmp_path):
+    """Simulated, tracked, compared with the truth: right up to the mirror, which is reported."""
+    study, out = tmp_path / "study", tmp_path / "out"
+    assert run("simulate", study, "--scenario", "line", "--pings", 40).exit_code == 0
+    args = ["--toa", study / "toa.csv", "--receivers", study / "receivers.csv"]
+    result = run("track", *args, "--out", out, "--interval", 20.6, 36.6)
+    assert result.exit_code == 0, result.output
+    assert {p.name for p in out.iterdir()} == OUTPUTS
+    truth, track = pl.read_csv(study / "truth.csv"), pl.read_csv(out / "track.csv")
+    assert len(track) == len(truth)
+    x, y = (track[c].to_numpy() for c in "xy")
+    own = np.hypot(x - truth["x"].to_numpy(), y - truth["y"].to_numpy())
+    mirror = [track[f"mirror_{c}"].to_numpy() for c in "xy"]
+    other = np.hypot(mirror[0] - truth["x"].to_numpy(), mirror[1] - truth["y"].to_numpy())
+    assert np.median(np.minimum(own, other)) < 6.0
+    arrivals = pl.read_csv(out / "arrivals.csv")
+    toa = pl.read_csv(study / "toa.csv").drop("ping", "tag", "sound_speed", strict=False)
+    assert arrivals["used"].sum() == toa.count().sum_horizontal().item()
+    assert arrivals["p_direct"].is_between(0, 1).all()
+    import xarray as xr
+
+    with xr.open_datatree(out / "posterior.nc", engine="h5netcdf") as tree:
+        assert {"posterior", "log_likelihood", "observed_data"} <= set(tree.children)

@@ -6,6 +6,7 @@ matplotlib is imported by the first figure that is drawn, not before.
 from typing import TYPE_CHECKING, Any
 
 __all__ = [
+    "clocks",
     "diagnostics",
     "draw_map",
     "heard",
@@ -14,11 +15,13 @@ __all__ = [
     "paths",
     "residuals",
     "spread",
+    "sync_residuals",
     "trace",
     "track",
 ]
 
 _HOME = {
+    "clocks": "_sync",
     "diagnostics": "_diagnostics",
     "draw_map": "_map",
     "heard": "_diagnostics",
@@ -27,6 +30,7 @@ _HOME = {
     "paths": "_residuals",
     "residuals": "_residuals",
     "spread": "_diagnostics",
+    "sync_residuals": "_sync",
     "trace": "_diagnostics",
     "track": "_track",
 }
@@ -42,6 +46,7 @@ if TYPE_CHECKING:
     )
     from maloc.plots._map import draw_map
     from maloc.plots._residuals import paths, residuals
+    from maloc.plots._sync import clocks, sync_residuals
     from maloc.plots._track import track
 else:
 

@@ -101,6 +101,8 @@ def draw_arrivals(
 ) -> Axes:
     """Draw expected numbers of direct and late arrivals at each receiver from (T, R) arrays."""
     ax = new_axes(ax)
+    columns = np.shape(residual)[1] if names is None else len(names)
+    residual, p_direct = residual[:, :columns], p_direct[:, :columns]  # fits may pad the receivers
     heard = np.isfinite(residual)
     p = np.where(heard, np.nan_to_num(np.asarray(p_direct, float)), 0.0)
     direct, total = p.sum(0), heard.sum(0)

@@ -53,7 +53,7 @@ def test_map_draws_an_ellipse_a_ping_in_a_frame_of_equal_scale(ax):
     truth = fit.mean + 1
     out = plots.track(fit, RECEIVERS, truth=truth, ax=ax)
     assert out is ax
-    assert [len(c.get_offsets()) for c in _ellipses(ax)] == [17]
+    assert [len(np.asarray(c.get_offsets())) for c in _ellipses(ax)] == [17]
     assert ax.get_aspect() == 1
     labels = ax.get_legend_handles_labels()[1]
     assert {"truth", "receiver", "track"} <= set(labels)
@@ -83,7 +83,10 @@ def test_map_of_a_table_sets_unheard_pings_and_mirror_apart(ax):
     found = track_of(table)
     np.testing.assert_allclose(found.cov[3], [[1.0, 0.5], [0.5, 4.0]])
     plots.track(table, RECEIVERS, ax=ax)
-    assert sorted(len(c.get_offsets()) for c in _ellipses(ax)) == [(~heard).sum(), heard.sum()]
+    assert sorted(len(np.asarray(c.get_offsets())) for c in _ellipses(ax)) == [
+        (~heard).sum(),
+        heard.sum(),
+    ]
     assert "mirror image" in ax.get_legend_handles_labels()[1]
     assert ax.get_ylim()[0] < -20
 
@@ -121,9 +124,9 @@ def test_residuals_have_a_point_an_arrival(ax):
     assert plots.residuals(fit, ax=ax) is ax
     points = ax.collections[0]
     heard = np.isfinite(fit.residuals())
-    assert len(points.get_offsets()) == heard.sum()
+    assert len(np.asarray(points.get_offsets())) == heard.sum()
     np.testing.assert_allclose(
-        np.sort(points.get_offsets()[:, 1]), np.sort(1e3 * fit.residuals()[heard])
+        np.sort(np.asarray(points.get_offsets())[:, 1]), np.sort(1e3 * fit.residuals()[heard])
     )
     assert ax.get_yscale() == "symlog"  # one arrival is 80 ms late
 
