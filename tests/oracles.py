@@ -69,3 +69,92 @@ def brownian_covariance(times, sigma, spread):
     """Covariance (T, T) of Brownian motion with an uncertain start, one axis."""
     t = np.asarray(times, float) - times[0]
     return spread**2 + sigma**2 * np.minimum.outer(t, t)
+
+
+# -- arrival -----------------------------------------------------------------------------------
+
+
+def ddetect_log_density(error, sigma, phi, w, beta, background=0.0, as_float=True):
+    """Log of (1 - w) N(e; 0, sigma) + w GN(e; phi/2, phi/2, beta), some background mixed in.
+
+    The background is Student's t with 3 df, centre phi/2 and scale 10 phi. All in mpmath.
+    """
+    with mpmath.workdps(40):
+        e, s, phi, w = (mpmath.mpf(v) for v in (error, sigma, phi, w))
+        half, wide, share = phi / 2, 10 * phi, mpmath.mpf(background)
+        normal = mpmath.exp(-((e / s) ** 2) / 2) / (s * mpmath.sqrt(2 * mpmath.pi))
+        late = beta / (2 * half * mpmath.gamma(mpmath.mpf(1) / beta))
+        late *= mpmath.exp(-(abs((e - half) / half) ** beta))
+        t = (e - half) / wide
+        wild = 2 / (mpmath.pi * mpmath.sqrt(3)) / wide / (1 + t**2 / 3) ** 2
+        total = mpmath.log((1 - share) * ((1 - w) * normal + w * late) + share * wild)
+        return float(total) if as_float else total
+
+
+# -- clock synchronisation ----------------------------------------------------------------------
+
+
+def clocks_dense(recorded, clock, ping, distance, start, knots, reference, sigma, intensity, speed):
+    """Clock states and relative slowness by dense least squares, emission times kept as unknowns.
+
+    start (K, R, 2) is the prior's first knot (offset, slope times spacing) and the point to
+    linearise at first; speed = (mean, sd) of the sound speed. Returns state (K, R, 2), its sd,
+    the sound speed.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    n_knots, n_clocks = start.shape[:2]
+    h, (c0, c_sd) = knots[1] - knots[0], speed
+    free = [r for r in range(n_clocks) if r != reference]
+    step = np.array([[1.0, 1.0], [0.0, 1.0]])
+    noise = intensity * h**3 * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
+    cov = np.zeros((n_knots, 2, n_knots, 2))
+    var = np.diag([1.0, (5e-5 * h) ** 2])
+    for k in range(n_knots):
+        for m in range(k, n_knots):
+            ahead = np.linalg.matrix_power(step, m - k)
+            cov[m, :, k, :], cov[k, :, m, :] = ahead @ var, (ahead @ var).T
+        var = step @ var @ step.T + noise
+    inverse = np.linalg.inv(cov.reshape(2 * n_knots, 2 * n_knots))
+    mean = np.stack(
+        [[np.linalg.matrix_power(step, k) @ start[0, r] for k in range(n_knots)] for r in free]
+    ).reshape(-1)
+    n_state, n_pings = len(mean), ping.max() + 1
+    n = n_state + 1 + n_pings
+    precision = np.zeros((n, n))
+    for i in range(len(free)):
+        rows = slice(2 * n_knots * i, 2 * n_knots * (i + 1))
+        precision[rows, rows] = inverse
+    precision[n_state, n_state] = (c0 / c_sd) ** 2
+    state = start.copy()
+    for _ in range(4):
+        common = recorded.copy()
+        for r in free:
+            curve = CubicHermiteSpline(knots, state[:, r, 0], state[:, r, 1] / h)
+            rows = clock == r
+            for _ in range(20):
+                common[rows] = recorded[rows] - curve(common[rows])
+        design = np.zeros((len(recorded), n))
+        for i, r in enumerate(free):
+            rows = np.flatnonzero(clock == r)
+            for k in range(n_knots):
+                for d in range(2):
+                    unit = np.zeros((n_knots, 2))
+                    unit[k, d] = 1.0
+                    basis = CubicHermiteSpline(knots, unit[:, 0], unit[:, 1] / h)
+                    design[rows, 2 * n_knots * i + 2 * k + d] = basis(common[rows])
+        design[:, n_state] = distance / c0
+        design[np.arange(len(recorded)), n_state + 1 + ping] = 1.0
+        normal = design.T @ design / sigma**2 + precision
+        target = design.T @ (recorded - distance / c0) / sigma**2
+        target[:n_state] += precision[:n_state, :n_state] @ mean
+        scale = 1 / np.sqrt(np.diag(normal))
+        x = scale * np.linalg.solve(normal * np.outer(scale, scale), scale * target)
+        for i, r in enumerate(free):
+            state[:, r] = x[2 * n_knots * i : 2 * n_knots * (i + 1)].reshape(n_knots, 2)
+    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    sd = np.zeros_like(state)
+    for i, r in enumerate(free):
+        rows = slice(2 * n_knots * i, 2 * n_knots * (i + 1))
+        sd[:, r] = np.sqrt(np.diag(covariance)[rows]).reshape(n_knots, 2)
+    return state, sd, c0 / (1 + x[n_state])

@@ -87,7 +87,8 @@ def _vote(time: np.ndarray, key: np.ndarray, known: np.ndarray, limit: float) ->
         best, ambiguous = _sharpest(rivals, time[i], difference, width, limit)
     near = np.abs(difference - ((best + 1) * width - limit)) <= width
     distinct = len(np.unique(j[near]))
-    background = len(difference) * width / limit
+    # differences of two records of equal length are twice as dense in the middle as on average
+    background = 2 * len(difference) * 2 * width / max(float(np.ptp(difference)), 2 * width)
     chance = background + 5 * np.sqrt(background) + 4
     if distinct < 5 or near.sum() <= chance:
         return None
@@ -264,17 +265,18 @@ def _align_one(
     runs = _runs(t, o, 1.0, BEND)
     run = max(runs, key=lambda r: n[r].sum())
     jumps = _jumps(o, runs)
-    first, last = votes[run][0].first, votes[run][-1].last
+    first = votes[run.start - 1].last if run.start else -np.inf
+    last = votes[run.stop].first if run.stop < len(votes) else np.inf
     clock = _line(votes[run], 0.0)
     # wide first: the votes know the offset only to the width of a bin
     wide = 0.6 + DRIFT * min(WINDOW, float(np.ptp(time))) / 8
     clock = _refine(clock, time, key, known, wide)
-    runs = _runs(clock.time, clock.offset, 0.4, BEND)
+    runs, t = _runs(clock.time, clock.offset, 0.4, BEND), clock.time
     if len(runs) > 1:
         run = max(runs, key=lambda r: r.stop - r.start)
         jumps += _jumps(clock.offset, runs)
-        first = max(first, float(clock.time[run][0]) - NODE)
-        last = min(last, float(clock.time[run][-1]) + NODE)
+        first = max(first, float(clock.time[run.start]) - NODE) if run.start else first
+        last = min(last, float(clock.time[run.stop - 1]) + NODE) if run.stop < len(t) else last
         clock = clock._replace(time=clock.time[run], offset=clock.offset[run])
         clock = clock._replace(drift=_slope(clock))
     for tolerance in (0.6, 0.3):
