@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpyro.distributions as dist
 from jax.scipy.special import ndtr
 from jaxtyping import Array
 from numpyro.distributions import constraints
@@ -154,20 +153,24 @@ class DDetect(ArrivalError):
 
     def sample(self, key: Array, sample_shape=()):
         """Draw."""
-        key_direct, key_late, key_wild, key_path, key_any = jax.random.split(key, 5)
+        key_direct, key_late, key_path, key_wild, key_any = jax.random.split(key, 5)
         shape = self.shape(sample_shape)
         direct = self.sigma * jax.random.normal(key_direct, shape)
         reflected = self._reflected().expand(self.batch_shape).sample(key_late, sample_shape)
-        wild = self.phi / 2 + _WILD_SCALE * self.phi * jax.random.t(key_wild, 3.0, shape)
         error = jnp.where(jax.random.uniform(key_path, shape) < self.w, reflected, direct)
-        error = jnp.where(jax.random.uniform(key_any, shape) < self.background, wild, error)
+        if self.background:
+            wild = (0.5 + _WILD_SCALE * jax.random.t(key_wild, 3.0, shape)) * self.phi
+            error = jnp.where(jax.random.uniform(key_any, shape) < self.background, wild, error)
         return self.loc + error
 
     def cdf(self, value):
         """Distribution function."""
         error = value - self.loc
         inside = (1 - self.w) * ndtr(error / self.sigma) + self.w * self._reflected().cdf(error)
-        wild = dist.StudentT(3.0, self.phi / 2, _WILD_SCALE * self.phi).cdf(error)
+        if not self.background:
+            return inside
+        t = (error / self.phi - 0.5) / (_WILD_SCALE * math.sqrt(3))
+        wild = 0.5 + (jnp.arctan(t) + t / (1 + t**2)) / math.pi  # Student's t, 3 df
         return (1 - self.background) * inside + self.background * wild
 
     def icdf(self, q):

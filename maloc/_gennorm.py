@@ -18,7 +18,7 @@ from maloc._jax import jax, jnp
 
 __all__ = ["GeneralizedNormal", "power", "quantile"]
 
-_LINEAR_BELOW = 1e-9  # |z| where the distribution function is 1/2 + z f(0) to rounding
+_LOG_FLAT = math.log(1e-17)  # below this |z|^beta is nothing beside 1
 _HALVINGS = 75
 _REACH = 60.0  # asinh of the furthest quantile looked for, in scales: 6e25
 
@@ -120,11 +120,13 @@ class GeneralizedNormal(dist.Distribution):
     def cdf(self, value):
         """Distribution function; the lower tail keeps its relative precision."""
         z = (value - self.loc) / self.alpha
-        near = jnp.abs(z) < _LINEAR_BELOW
-        away = jnp.where(near, 1.0, z)
+        # where the density is flat: there |z|^beta underflows, and gammaincc with it
+        flat = jnp.abs(z) < jnp.exp(_LOG_FLAT / self.beta)
+        away = jnp.where(flat, 1.0, z)
         upper = gammaincc(1 / self.beta, power(away, self._shape_parameter, 600.0))
         outer = jnp.where(away < 0, 0.5 * upper, 1 - 0.5 * upper)
-        return jnp.where(near, 0.5 + 0.5 * z * self.beta * jnp.exp(-gammaln(1 / self.beta)), outer)
+        height = 0.5 * self.beta * jnp.exp(-gammaln(1 / self.beta))
+        return jnp.where(flat, 0.5 + height * z, outer)
 
     def icdf(self, q):
         """Quantile function, by bisection; differentiable."""

@@ -16,8 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpyro.distributions as dist
-from jax.scipy.special import gammaln, ndtr, ndtri
+from jax.scipy.special import betainc, gammaln, ndtr, ndtri
 from jaxtyping import Array
 from numpyro.distributions import constraints
 from numpyro.distributions.util import promote_shapes
@@ -123,16 +122,27 @@ class Student(ArrivalError):
     def log_prob(self, value):
         """Log density."""
         z2 = ((value - self.loc) / self.sigma) ** 2
-        norm = gammaln((self.df + 1) / 2) - gammaln(self.df / 2) - 0.5 * jnp.log(self.df * jnp.pi)
-        return norm - jnp.log(self.sigma) - (self.df + 1) / 2 * jnp.log1p(z2 / self.df)
+        tails = (self.df + 1) / 2 * jnp.log1p(z2 / self.df)
+        return self._log_peak() - jnp.log(self.sigma) - tails
+
+    def _log_peak(self):
+        """Log density of the standard law at 0."""
+        df = self.df
+        return gammaln((df + 1) / 2) - gammaln(df / 2) - 0.5 * jnp.log(df * jnp.pi)
 
     def sample(self, key: Array, sample_shape=()):
         """Draw."""
         return self.loc + self.sigma * jax.random.t(key, self.df, self.shape(sample_shape))
 
     def cdf(self, value):
-        """Distribution function."""
-        return dist.StudentT(self.df, self.loc, self.sigma).cdf(value)
+        """Distribution function; the lower tail keeps its relative precision."""
+        z = (value - self.loc) / self.sigma
+        near = jnp.abs(z) < 1e-6  # two terms of the series, where betainc has no slope
+        away = jnp.where(near, 1.0, z)
+        tail = 0.5 * betainc(self.df / 2, 0.5, self.df / (self.df + away**2))
+        height = jnp.exp(self._log_peak())
+        series = 0.5 + height * z * (1 - z**2 * (self.df + 1) / (6 * self.df))
+        return jnp.where(near, series, jnp.where(away < 0, tail, 1 - tail))
 
     def icdf(self, q):
         """Quantile function, by bisection; differentiable."""
