@@ -158,3 +158,67 @@ def clocks_dense(recorded, clock, ping, distance, start, knots, reference, sigma
         rows = slice(2 * n_knots * i, 2 * n_knots * (i + 1))
         sd[:, r] = np.sqrt(np.diag(covariance)[rows]).reshape(n_knots, 2)
     return state, sd, c0 / (1 + x[n_state])
+
+
+# -- inference ----------------------------------------------------------------------------------
+
+
+def from_band(band):
+    """Dense symmetric matrix of a lower band, ``band[i - j, j]``."""
+    band = np.asarray(band)
+    n = band.shape[1]
+    out = np.zeros((n, n))
+    for j in range(n):
+        for i in range(j, min(n, j + band.shape[0])):
+            out[i, j] = out[j, i] = band[i - j, j]
+    return out
+
+
+def fixes_posterior(dt, observed, sigma_step, noise, spread):
+    """Brownian track seen with Gaussian error, all dense: log evidence, mean (T, A), cov (T, T).
+
+    The covariance is one axis's, given the parameters; both axes share it. Centre 0.
+    """
+    times = np.concatenate([[0.0], np.cumsum(dt)])
+    prior = brownian_covariance(times, sigma_step, spread)
+    total = prior + noise**2 * np.eye(len(times))
+    gain = prior @ np.linalg.inv(total)
+    _, log_det = np.linalg.slogdet(2 * np.pi * total)
+    squares = np.einsum("ta,tu,ua->", observed, np.linalg.inv(total), observed)
+    evidence = -0.5 * (observed.shape[1] * log_det + squares)
+    return evidence, gain @ observed, prior - gain @ prior
+
+
+def fixes_log_posterior(u, dt, observed, spread):
+    """Log evidence plus log prior of u = (log sigma_step, log noise): N(0, 1), N(0, 1/2)."""
+    evidence = fixes_posterior(dt, observed, np.exp(u[0]), np.exp(u[1]), spread)[0]
+    prior = -0.5 * u[0] ** 2 - 0.5 * (u[1] / 0.5) ** 2 - np.log(0.5) - np.log(2 * np.pi)
+    return evidence + prior
+
+
+def fixes_moments(dt, observed, spread, centre, reach, n=41):
+    """Posterior mean and variance of u (2,) and of the track (T, A), by quadrature over u."""
+    axes = [np.linspace(c - r, c + r, n) for c, r in zip(centre, reach, strict=True)]
+    grid = np.array([[a, b] for a in axes[0] for b in axes[1]])
+    logs = np.array([fixes_log_posterior(u, dt, observed, spread) for u in grid])
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    parts = [fixes_posterior(dt, observed, *np.exp(u), spread)[1:] for u in grid]
+    means = np.array([m for m, _ in parts])
+    variances = np.array([np.diag(c)[:, None] + m**2 for m, c in parts])
+    mean_u, mean_x = weight @ grid, np.einsum("g,gta->ta", weight, means)
+    var_u = weight @ (grid - mean_u) ** 2
+    var_x = np.einsum("g,gta->ta", weight, variances) - mean_x**2
+    return mean_u, var_u, mean_x, var_x
+
+
+def conditional(covariance, known, values, digits=50):
+    """Mean and covariance (floats) of the rest of a zero-mean normal given some of its elements."""
+    with mpmath.workdps(digits):
+        n = covariance.rows
+        rest = [i for i in range(n) if i not in known]
+        pick = lambda a, b: mpmath.matrix([[covariance[i, j] for j in b] for i in a])  # noqa: E731
+        gain = pick(rest, known) * mpmath.inverse(pick(known, known))
+        mean = gain * mpmath.matrix([mpmath.mpf(float(v)) for v in values])
+        spread = pick(rest, rest) - gain * pick(known, rest)
+        return as_floats(mean)[:, 0], as_floats(spread)

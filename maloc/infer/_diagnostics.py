@@ -49,25 +49,33 @@ def r_hat(draws: np.ndarray) -> np.ndarray:
 
 
 def _ess(draws: np.ndarray) -> np.ndarray:
-    """Effective sample size by Geyer's initial monotone sequence, (chain, draw, m) -> (m,)."""
+    """Effective sample size by Geyer's initial monotone sequence, (chain, draw, m) -> (m,).
+
+    Step for step what ArviZ does, the half pair at the end and all: pairs of autocorrelations
+    count as long as their sums are positive, the first half of the next one once.
+    """
     chains, n, m = draws.shape
     size = 1 << int(2 * n - 1).bit_length()
     centred = draws - draws.mean(axis=1, keepdims=True)
     spectrum = np.fft.rfft(centred, size, axis=1)
-    covariance = np.fft.irfft(spectrum * spectrum.conj(), size, axis=1)[:, :n] / n
-    mean_covariance = covariance.mean(axis=0)
-    within = mean_covariance[0] * n / (n - 1)
-    total = within * (n - 1) / n
+    covariance = (np.fft.irfft(spectrum * spectrum.conj(), size, axis=1)[:, :n] / n).mean(axis=0)
+    within = covariance[0] * n / (n - 1)
+    total = covariance[0]
     if chains > 1:
         total = total + draws.mean(axis=1).var(axis=0, ddof=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rho = 1 - (within - mean_covariance * n / (n - 1)) / total
+        rho = 1 - (within - covariance) / total
     rho[0] = 1.0
-    pairs = rho[: n - n % 2].reshape(-1, 2, m).sum(axis=1)
-    kept = np.cumprod(pairs > 0, axis=0).astype(bool)
-    pairs = np.minimum.accumulate(np.where(kept, pairs, 0.0), axis=0)
-    tau = np.maximum(-1 + 2 * pairs.sum(axis=0), 1 / np.log10(chains * n))
-    return np.where(total > 0, chains * n / tau, np.nan)
+    count = max((n - 1) // 2, 1)
+    even, pairs = rho[: 2 * count : 2], rho[: 2 * count].reshape(count, 2, m).sum(axis=1)
+    last = np.minimum(np.cumprod(pairs > 0, axis=0).sum(axis=0), count - 1)
+    falling = np.minimum.accumulate(pairs, axis=0)
+    whole = np.where(np.arange(count)[:, None] < last, falling, 0.0).sum(axis=0)
+    half, pair = even[last, np.arange(m)], pairs[last, np.arange(m)]
+    tau = -1 + 2 * whole + np.where((half > 0) | (pair >= 0), half, 0.0)
+    tau = np.maximum(tau, 1 / np.log10(chains * n))
+    still = np.ptp(draws, axis=(0, 1)) < 1e-15
+    return np.where(still, chains * n, chains * n / tau)
 
 
 def ess_bulk(draws: np.ndarray) -> np.ndarray:
@@ -78,10 +86,9 @@ def ess_bulk(draws: np.ndarray) -> np.ndarray:
 def ess_tail(draws: np.ndarray) -> np.ndarray:
     """Tail effective sample size: the smaller of the 5 % and 95 % quantiles' indicators'."""
     halves = _split(draws)
-    flat = halves.reshape(-1, halves.shape[-1])
-    low, high = np.quantile(flat, [0.05, 0.95], axis=0)
+    low, high = np.quantile(draws.reshape(-1, halves.shape[-1]), [0.05, 0.95], axis=0)
     both = [_ess((halves <= low).astype(float)), _ess((halves <= high).astype(float))]
-    return np.fmin(*both).reshape(draws.shape[2:])
+    return np.minimum(*both).reshape(draws.shape[2:])
 
 
 def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
