@@ -18,7 +18,7 @@ from maloc.infer._model import ChainModel
 from maloc.infer.mode import anneal, find_mode
 from maloc.movement import CTCRW, Brownian
 
-__all__ = ["initial_values", "repair"]
+__all__ = ["initial_values", "repair", "stable_interval"]
 
 _FINE = (100.0, 60.0, 35.0, 20.0, 12.0, 8.0, 6.0, 5.0, 4.0, 3.0)
 
@@ -182,3 +182,18 @@ def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
         out[rows, column] = places[rows, place, axis]
     out[rows, emission] = tried[rows, place, choice]
     return out, bool(moved.any())
+
+
+def stable_interval(data: ToaData, emission: np.ndarray, values: dict) -> dict:
+    """Values with the stable interval's mean and jitter read off a track's emissions (T,) m."""
+    known = np.asarray(data.interval_known)
+    if known.sum() < 3 or "interval_offset" not in values:
+        return values
+    n = np.asarray(data.n_intervals)[known]
+    time = np.asarray(data.time) + emission / np.asarray(data.speed)
+    each = np.diff(time)[known] / n
+    mean, sd = (float(v) for v in data.interval)
+    middle = float(np.median(each))
+    spread = 1.4826 * float(np.median(np.abs(each - middle) * np.sqrt(n)))
+    offset = np.clip((middle / mean - 1) / 1e-3, -3.0, 3.0)
+    return values | {"interval_offset": offset, "interval_sd": np.clip(spread, sd / 5, 5 * sd)}

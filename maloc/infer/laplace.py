@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
-from maloc._jax import require_x64
+from maloc._jax import jnp, require_x64
+from maloc.data.model_data import ToaData
 from maloc.errors import FitError
-from maloc.infer._model import chain_model
+from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._stages import Stages
-from maloc.infer.initial import initial_values, repair
+from maloc.infer.initial import initial_values, repair, stable_interval
 from maloc.infer.marginal import maximise_marginal
 from maloc.infer.result import LaplaceFit
 
@@ -62,7 +64,7 @@ def laplace(
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
     with stages.time("initial"):
-        x, u = initial_values(cm, args, positions)
+        x, u = _start(cm, args, path, positions)
         if not np.isfinite(float(cm.value(x, u, args, 0.0))):
             raise FitError("the joint density is not finite at the initial values")
     with stages.time("parameters"):
@@ -74,9 +76,26 @@ def laplace(
             break
         with stages.time("parameters"):
             fit = maximise_marginal(cm, args, x, fit.u)
-    warnings = []
+    warnings: list[str] = []
     if not np.isfinite(fit.value):
         raise FitError("no finite mode of the path was found")
     if not fit.converged:
         warnings.append("the parameters' optimum was not reached: treat widths with care")
     return LaplaceFit(cm, args, options, stages, tuple(warnings), fit)
+
+
+def _start(cm: ChainModel, args: tuple, path, positions) -> tuple[np.ndarray, np.ndarray]:
+    """Start of path and parameters; a stable interval is switched on only after a fit without it.
+
+    So stiff a schedule has a mode for every way of counting its milliseconds: an annealed start
+    finds the right one only from a track that is already in place.
+    """
+    data = args[0] if args else None
+    if not (isinstance(data, ToaData) and data.schedule == "stable"):
+        return initial_values(cm, args, positions)
+    loose = (dataclasses.replace(data, schedule="unknown"), *args[1:])
+    without = chain_model(cm.model, cm.options, loose, path)
+    fit = maximise_marginal(without, loose, *initial_values(without, loose, positions))
+    known = without.sites(jnp.asarray(fit.x), jnp.asarray(fit.u))[0]
+    values = cm.prior_medians(args) | {k: np.asarray(v) for k, v in known.items()}
+    return fit.x, cm.flat_globals(stable_interval(data, fit.x[:, -1], values))
