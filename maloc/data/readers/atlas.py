@@ -14,6 +14,8 @@ from maloc.data.readers._clock import LATEST_S
 from maloc.data.report import Note, ReadReport
 from maloc.errors import InputError
 
+__all__ = ["MAGIC", "NAME", "TITLE", "read_file"]
+
 NAME = "atlas"
 TITLE = "ATLAS SQLite (table DETECTIONS: BS, TAG, TIME, ...)"
 MAGIC = b"SQLite format 3\x00"

@@ -11,6 +11,8 @@ from maloc.data.readers import _build, _clock
 from maloc.data.readers._columns import plain
 from maloc.data.readers._text import Table
 
+__all__ = ["NAME", "TITLE", "matches", "read"]
+
 NAME = "kaltoa"
 TITLE = "kaltoa table (timestamp, detect_id, type; one file a receiver)"
 

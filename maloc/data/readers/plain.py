@@ -14,6 +14,8 @@ from maloc.data.readers import _build, _clock
 from maloc.data.readers._columns import DETECTION, find, locate, plain
 from maloc.data.readers._text import Table
 
+__all__ = ["NAME", "TITLE", "matches", "read", "unix_time"]
+
 NAME = "plain"
 TITLE = "plain table (time or epo + frac, receiver, tag)"
 

@@ -12,6 +12,8 @@ from maloc.data.readers._text import Table, from_frame
 from maloc.data.receivers import Receivers, collinear, deployment_problem
 from maloc.data.report import Note, ReadReport
 
+__all__ = ["COLLINEAR", "matches", "receivers_from_frame", "receivers_from_table"]
+
 
 def matches(table: Table) -> bool:
     """Say whether a receiver and its place can be found in the header."""

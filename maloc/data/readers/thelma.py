@@ -11,6 +11,8 @@ from maloc.data.readers import _build, _clock
 from maloc.data.readers._columns import plain
 from maloc.data.readers._text import Table
 
+__all__ = ["NAME", "TITLE", "matches", "read"]
+
 NAME = "thelma"
 TITLE = "Thelma Biotel CSV (Unix Timestamp (UTC), ID, Data, Protocol, SNR, Receiver)"
 _OLD = {"unix_timestamp_utc", "tbr_serial_number", "millisecond", "codetype", "id"}

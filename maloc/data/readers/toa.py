@@ -16,6 +16,8 @@ from maloc.data.readers._text import Table, from_frame
 from maloc.data.receivers import Receivers, collinear
 from maloc.data.report import Note, ReadReport
 
+__all__ = ["DEFAULT_SOUND_SPEED", "UNIX_FROM_S", "matches", "toa_from_frame", "toa_from_table"]
+
 UNIX_FROM_S = 1e8  # larger than this is taken for Unix seconds (1973 on)
 DEFAULT_SOUND_SPEED = 1500.0
 

@@ -11,6 +11,8 @@ from maloc.data.readers import _build, _clock
 from maloc.data.readers._columns import plain
 from maloc.data.readers._text import Table
 
+__all__ = ["NAME", "TITLE", "is_events", "matches", "read", "zone"]
+
 NAME = "vue"
 TITLE = "VUE detections CSV (Date and Time (UTC), Receiver, Transmitter, ...)"
 _EXTRA = {
