@@ -80,6 +80,7 @@ def main() -> None:
         track = pl.read_csv(given.runs[-1] / "track.csv")
         receivers = None if given.receivers is None else maloc.read_receivers(given.receivers)
         axes = maloc.plots.track(track, receivers, truth=truth["x", "y"].to_numpy())
+        axes.legend(loc="lower left")
         figure = axes.get_figure(root=True)
         assert figure is not None
         figure.savefig(given.picture, dpi=110, bbox_inches="tight")
