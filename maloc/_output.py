@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._mirror import Line, reflect
+from maloc.data._time import NS
 
 if TYPE_CHECKING:
     import polars as pl
@@ -141,6 +142,7 @@ def arrivals_table(fit: Any, toa: ArrivalTimes) -> pl.DataFrame:
     aside = toa.set_aside
     nothing = [None] * len(aside)
     names = np.asarray(toa.receivers.labels, dtype=str)
+    start = 0.0 if toa.origin is None else toa.origin / NS  # t as in track.csv
     known = toa.detection
     detection = [None] * len(row) if known is None else known[row, column].tolist()
     columns: dict[str, list] = {
@@ -151,7 +153,7 @@ def arrivals_table(fit: Any, toa: ArrivalTimes) -> pl.DataFrame:
         "used": [True] * len(row) + [False] * len(aside),
         "why": [LATE if p < 0.5 else "" for p in direct.tolist()] + aside.why.tolist(),
         "tag": [toa.tag] * (len(row) + len(aside)),
-        "t": toa.toa[row, column].tolist() + aside.time.tolist(),
+        "t": (start + np.concatenate([toa.toa[row, column], aside.time])).tolist(),
         "detection": [None if d == -1 else d for d in detection] + aside.detection.tolist(),
     }
     types = {

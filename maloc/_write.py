@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc import _output
-from maloc.data._time import iso
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,7 +165,6 @@ def _tag_summary(fitted: Fitted) -> dict[str, Any]:
     toa, fit = fitted.toa, fitted.fit
     direct = np.asarray(fit.p_direct(), float)[toa.heard[toa.n_heard > 0]]
     return {
-        "second_0": None if toa.origin is None else iso(toa.origin),  # of the columns t
         "pings": toa.n_pings,
         "heard": int((toa.n_heard > 0).sum()),
         "unheard": int((toa.n_heard == 0).sum()),

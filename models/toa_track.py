@@ -65,15 +65,15 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
         law = dist.Normal(n * mean, sd * jnp.sqrt(n)).mask(data.interval_known)
         numpyro.factor("schedule", law.log_prob(jnp.diff(time)))
     elif data.schedule == "random":
-        low, high = data.n_intervals * data.interval[:, None]
+        low, high = (bound * data.n_intervals for bound in data.interval)
         edge = 0.02
         gap = jnp.diff(time)
         inside = jax.nn.log_sigmoid((gap - low) / edge) + jax.nn.log_sigmoid((high - gap) / edge)
         numpyro.factor("schedule", jnp.where(data.interval_known, inside, 0.0))
 
     sigma = numpyro.sample("sigma", dist.LogNormal(jnp.log(2.0), 1.5))
-    east = position[:, :1] - data.receiver_xy[:, 0]
-    north = position[:, 1:] - data.receiver_xy[:, 1]
+    east = position[:, :1] - data.receiver_xy.T[:1]
+    north = position[:, 1:] - data.receiver_xy.T[1:]
     distance = jnp.sqrt(east**2 + north**2 + 0.25)
     arrival = (emission[:, None] + distance) / ratio
     if error == "ddetect":

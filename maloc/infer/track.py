@@ -161,13 +161,11 @@ def _join(heard: _Rows, unheard: _Rows | None) -> _Rows:
 def _frame(rows: _Rows, toa: ArrivalTimes) -> pl.DataFrame:
     import polars as pl
 
-    from maloc.data._time import iso
-
     sd = np.sqrt(np.einsum("tii->ti", rows.covariance))
-    time: list[str | None] = [None] * len(rows.t)
-    t = rows.t
+    time, t = pl.Series([None] * len(rows.t), dtype=pl.String), rows.t
     if toa.origin is not None:
-        time = [iso(toa.origin + round(s * 1e9)) for s in rows.t]
+        ns = pl.Series(toa.origin + np.round(rows.t * 1e9).astype(np.int64))
+        time = ns.cast(pl.Datetime("ns")).dt.strftime("%Y-%m-%dT%H:%M:%S%.6fZ")
         t = toa.origin / 1e9 + rows.t
     columns = {
         "tag": [toa.tag] * len(t),
@@ -188,4 +186,4 @@ def _frame(rows: _Rows, toa: ArrivalTimes) -> pl.DataFrame:
     if toa.receivers.crs is not None:
         lon, lat = toa.receivers.lonlat(rows.position[:, 0], rows.position[:, 1])
         columns |= {"longitude": lon, "latitude": lat}
-    return pl.DataFrame(columns, schema_overrides={"time": pl.String})
+    return pl.DataFrame(columns)

@@ -78,6 +78,7 @@ def heard(time: np.ndarray, n_receivers: np.ndarray, *, ax: Any = None) -> Axes:
     ax.plot(since[n > 0], n[n > 0], ".", color=TRACK, ms=4, zorder=3)
     ax.plot(since[n == 0], n[n == 0], "x", color=LATE, ms=4, zorder=3)
     ax.set_ylim(bottom=-0.4)
+    ax.yaxis.get_major_locator().set_params(integer=True)
     return tidy(ax, label, "receivers", f"Receivers a ping ({int((n == 0).sum())} unheard)")
 
 
