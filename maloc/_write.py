@@ -71,7 +71,7 @@ def map_figure(
     from maloc.plots._track import track
 
     figure = figure_type(figsize=(8.0, 8.0))
-    ax = figure.add_axes((0.1, 0.08, 0.87, 0.82))
+    ax = figure.add_axes((0.1, 0.1, 0.8, 0.8))
     several = len(fitted) > 1
     for i, (f, table) in enumerate(zip(fitted, tracks, strict=True)):
         tag = f.toa.tag or "track"
@@ -100,12 +100,14 @@ def map_figure(
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
     ratio = float(np.clip((y1 - y0) / (x1 - x0), 0.35, 1.6))
     top, bottom = 0.6 + 0.2 * -(-len(shown) // 4), 0.6  # inches
-    height = 8.0 * 0.87 * ratio + top + bottom
+    left = 0.07 + 0.01 * max(len(f"{y:.0f}") for y in (y0, y1))  # northings have seven digits
+    width = 0.98 - left
+    height = 8.0 * width * ratio + top + bottom
     figure.set_size_inches(8.0, height)
-    ax.set_position((0.1, bottom / height, 0.87, 1 - (top + bottom) / height))
+    ax.set_position((left, bottom / height, width, 1 - (top + bottom) / height))
     title = names if len(names) <= 75 else f"{len(fitted)} tags"
-    figure.text(0.1, 1 - 0.28 / height, title or "Track", fontsize=12, fontweight="bold")
-    figure.text(0.1, 1 - 0.5 / height, note, fontsize=9, color="#B04000")
+    figure.text(left, 1 - 0.28 / height, title or "Track", fontsize=12, fontweight="bold")
+    figure.text(left, 1 - 0.5 / height, note, fontsize=9, color="#B04000")
     return figure
 
 

@@ -93,7 +93,8 @@ def spread(track: Track, *, ax: Any = None) -> Axes:
     sd = np.sqrt(np.concatenate([track.cov[:, 0, 0], track.cov[:, 1, 1]]))
     sd = sd[np.isfinite(sd) & (sd > 0)]
     if len(sd) and sd.max() > 5 * sd.min():
-        ax.set_yscale("log")
+        ax.set_yscale("log", subs=[2, 5])
+        ax.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter("")
     tidy(ax, label, "sd (m)", "Posterior sd (circles: unheard pings)")
