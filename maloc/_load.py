@@ -174,8 +174,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
     speed = options.speed()
     if np.isnan(speed):
         speed = None if sync is None else sync.sound_speed
-        if speed is None and options.sound_speed == "estimated":
-            speed = 1500.0
+    sure = None if sync is None or sync.sound_speed != speed else sync.sound_speed_sd or None
     toas, skipped = [], {}
     with log.stage("group"):
         for tag in tags:
@@ -184,6 +183,8 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                     raise InputError(f"tag {tag}: no detection is left on the common clock")
                 toa = toa_matrix(common, place, tag, sound_speed=speed, schedule=options.schedule())
                 toa = _with_rows(toa, common, detections, receivers)
+                if sure is not None:
+                    toa = toa.replace(sound_speed_sd=sure)
                 check_usable(toa)
             except InputError as problem:
                 if options.tags or len(tags) == 1:

@@ -100,7 +100,7 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
     how: dict[str, Any] = {
         "movement": options.movement,
         "error": options.error,
-        "sound_speed": "estimated" if options.sound_speed == "estimated" else "given",
+        "sound_speed": "estimated" if options.sound_speed == "estimated" else "auto",
     }
     with log.stage("fit"):
         if options.method == "laplace":

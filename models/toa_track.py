@@ -20,7 +20,7 @@ from maloc.movement import CTCRW, Brownian
 __all__ = ["toa_track"]
 
 
-def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
+def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     """Joint density of track, emission times and parameters given arrival times.
 
     Parameters
@@ -31,8 +31,9 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
         Continuous-time correlated random walk, or Brownian motion.
     error : {"ddetect", "gaussian", "student"}
         Arrival error.
-    sound_speed : {"given", "estimated"}
-        Estimated: one factor on the given speed, prior sd 1 %.
+    sound_speed : {"auto", "given", "estimated"}
+        Estimated: one factor on the given speed, its prior sd what the data say of it, else 1 %.
+        Auto: estimated where the data say that the speed is not sure.
 
     Notes
     -----
@@ -54,8 +55,8 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="given"):
     emission = numpyro.sample("emission", ranges, infer={"is_chain": True})
 
     ratio = 1.0
-    if sound_speed == "estimated":
-        ratio = numpyro.sample("sound_speed_ratio", dist.Normal(1.0, 0.01))
+    if sound_speed == "estimated" or (sound_speed == "auto" and not data.speed_known):
+        ratio = numpyro.sample("sound_speed_ratio", dist.Normal(1.0, data.speed_sd))
     time = data.time + emission / (data.speed * ratio)
     if data.schedule == "stable":
         mean, sd = data.interval

@@ -18,7 +18,20 @@ from maloc.errors import InputError
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["ArrivalTimes", "Schedule", "SetAside"]
+__all__ = [
+    "DEFAULT_SOUND_SPEED",
+    "DEFAULT_SOUND_SPEED_SD",
+    "NO_SPEED",
+    "ArrivalTimes",
+    "Schedule",
+    "SetAside",
+]
+
+DEFAULT_SOUND_SPEED, DEFAULT_SOUND_SPEED_SD = 1500.0, 30.0  # m/s: fresh and cold to salt and warm
+NO_SPEED = (
+    "no sound speed given: 1500 m/s assumed, give or take 30 (a 1 % error moves positions by "
+    "metres)"
+)
 
 
 @dataclass(frozen=True)
@@ -120,6 +133,8 @@ class ArrivalTimes:
         Tag's depth, m, positive down; NaN = unknown.
     detection : array (P, R) of int64, optional
         Row of the detections table that each entry came from, -1 = none.
+    sound_speed_sd : float, optional
+        Standard deviation of an error of the sound speed that all pings share, m/s; None = unknown.
     set_aside : SetAside
         Detections that are in no ping.
     report : ReadReport
@@ -141,6 +156,7 @@ class ArrivalTimes:
     schedule: Schedule = field(default_factory=Schedule)
     depth: np.ndarray | None = None
     detection: np.ndarray | None = None
+    sound_speed_sd: float | None = None
     set_aside: SetAside = field(default_factory=SetAside)
     report: ReadReport = field(default_factory=ReadReport)
 
@@ -157,6 +173,11 @@ class ArrivalTimes:
             "ping": _arrays.integers(ping, "ping", (n,)),
             "origin": None if self.origin is None else int(self.origin),
         }
+        if self.sound_speed_sd is not None:
+            sd = float(self.sound_speed_sd)
+            if not (sd > 0 and np.isfinite(sd)):
+                raise InputError(f"sound speed's sd {sd:g} m/s is not positive")
+            checked["sound_speed_sd"] = sd
         if self.depth is not None:
             checked["depth"] = _arrays.floats(self.depth, "depth", (n,))
         if self.detection is not None:

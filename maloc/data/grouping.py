@@ -8,7 +8,14 @@ import numpy as np
 
 from maloc.data import _pings
 from maloc.data._time import NS
-from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
+from maloc.data.arrivals import (
+    DEFAULT_SOUND_SPEED,
+    DEFAULT_SOUND_SPEED_SD,
+    NO_SPEED,
+    ArrivalTimes,
+    Schedule,
+    SetAside,
+)
 from maloc.data.detections import Detections
 from maloc.data.receivers import Receivers, collinear
 from maloc.data.report import Note, ReadReport
@@ -18,7 +25,6 @@ __all__ = ["toa_matrix"]
 
 ECHO_S = 0.5  # a second detection within this time at one receiver is the same ping
 LATE_S = 0.5  # a reflected arrival is at most this much later than a direct one could be
-DEFAULT_SOUND_SPEED = 1500.0
 UNSYNCHRONISED = (
     "run maloc sync first (maloc.sync.fit, then apply), or check that the file is of this array"
 )
@@ -90,8 +96,7 @@ def toa_matrix(
     if not (np.isfinite(slowest) and slowest > 0):
         raise InputError(f"sound speed {slowest:g} m/s is not a positive number")
     if sound_speed is None:
-        text = "no sound speed given: 1500 m/s assumed (a 1 % error moves positions by metres)"
-        work.notes.append(Note("warning", text))
+        work.notes.append(Note("warning", NO_SPEED))
     xy = receivers.xy
     travel = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) / slowest
     late = LATE_S if not schedule.shortest > 0 else min(LATE_S, schedule.shortest / 4)
@@ -99,7 +104,8 @@ def toa_matrix(
     _refuse_unsynchronised(work, travel, tolerance)
     if schedule.shortest > 0:
         work.drop_impossible(travel, schedule.shortest, tolerance + late)
-    return work.finish(speed, schedule, start)
+    toa = work.finish(speed, schedule, start)
+    return toa if sound_speed is not None else toa.replace(sound_speed_sd=DEFAULT_SOUND_SPEED_SD)
 
 
 def _echo_window(schedule: Schedule) -> float:

@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 __all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
 
 _MIN_LATENESS = 0.25  # s; receivers are blanked about this long after a detection
+_SPEED_SD = 0.01  # relative; a guessed sound speed is within 2 % of the truth
+_STATIC = ["schedule", "speed_known"]
 _MIN_STEP = 1e-3  # s; two pings at one instant still need a step
 
 
 @dataclasses.dataclass(frozen=True)
 class ToaData:
-    """One tag's heard pings, ready for a model (a pytree; ``schedule`` is static).
+    """One tag's heard pings, ready for a model: a pytree, the last two fields static.
 
     Attributes
     ----------
@@ -40,6 +42,8 @@ class ToaData:
         Element t: from ping t to ping t + 1.
     speed : (T,) m/s
         Reference sound speed.
+    speed_sd : ()
+        Relative standard deviation of the sound speed, for models that estimate it.
     receiver_xy : (R, 2) m
         Receiver positions.
     centre : (2,) m
@@ -56,6 +60,8 @@ class ToaData:
         False for padding.
     schedule : str
         "unknown", "random" or "stable".
+    speed_known : bool
+        False where the sound speed has an error that all pings share.
     """
 
     range: Float[Array, "ping receiver"]
@@ -63,6 +69,7 @@ class ToaData:
     time: Float[Array, " ping"]
     dt: Float[Array, " step"]
     speed: Float[Array, " ping"]
+    speed_sd: Float[Array, ""]
     receiver_xy: Float[Array, "receiver 2"]
     centre: Float[Array, 2]
     spread: Float[Array, ""]
@@ -70,7 +77,8 @@ class ToaData:
     n_intervals: Float[Array, " step"]
     interval: Float[Array, 2]
     valid: Bool[Array, " ping"]
-    schedule: str = dataclasses.field(default="unknown", metadata={"static": True})
+    schedule: str = "unknown"
+    speed_known: bool = True
 
     @property
     def interval_known(self):
@@ -80,8 +88,8 @@ class ToaData:
 
 jax.tree_util.register_dataclass(
     ToaData,
-    data_fields=[f.name for f in dataclasses.fields(ToaData) if f.name != "schedule"],
-    meta_fields=["schedule"],
+    data_fields=[f.name for f in dataclasses.fields(ToaData) if f.name not in _STATIC],
+    meta_fields=_STATIC,
 )
 
 
@@ -135,6 +143,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
     slack = 0.2 * diameter / float(speed.mean()) + 0.05
     n_intervals = _intervals(first, schedule.kind, schedule.lo, schedule.hi, slack)
 
+    sd = toa.sound_speed_sd
     n_pings, n_receivers = ranges.shape
     pings = bucket(n_pings) if pad else n_pings
     columns = -(-n_receivers // 4) * 4 if pad else n_receivers
@@ -148,6 +157,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         time=jnp.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
         dt=jnp.asarray(np.append(steps, np.full(more, step))),
         speed=jnp.asarray(np.append(speed, np.full(more, speed[-1]))),
+        speed_sd=jnp.asarray(_SPEED_SD if sd is None else sd / float(speed.mean())),
         receiver_xy=jnp.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
         centre=jnp.asarray(centre),
         spread=jnp.asarray(max(1000.0, 2 * diameter)),
@@ -156,6 +166,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         interval=jnp.asarray([schedule.lo, schedule.hi], float),
         valid=jnp.asarray(np.arange(pings) < n_pings),
         schedule=schedule.kind,
+        speed_known=sd is None,
     )
 
 

@@ -9,7 +9,13 @@ import polars as pl
 
 from maloc.data._tags import match_tag
 from maloc.data._time import NS
-from maloc.data.arrivals import ArrivalTimes, Schedule
+from maloc.data.arrivals import (
+    DEFAULT_SOUND_SPEED,
+    DEFAULT_SOUND_SPEED_SD,
+    NO_SPEED,
+    ArrivalTimes,
+    Schedule,
+)
 from maloc.data.readers import _clock
 from maloc.data.readers._columns import TOA, locate, plain, unnamed
 from maloc.data.readers._text import Table, from_frame
@@ -19,7 +25,6 @@ from maloc.data.report import Note, ReadReport
 __all__ = ["DEFAULT_SOUND_SPEED", "UNIX_FROM_S", "matches", "toa_from_frame", "toa_from_table"]
 
 UNIX_FROM_S = 1e8  # larger than this is taken for Unix seconds (1973 on)
-DEFAULT_SOUND_SPEED = 1500.0
 
 
 def matches(table: Table, receivers: Receivers | None = None) -> bool:
@@ -64,6 +69,7 @@ def toa_from_table(
     ping = _pings(table, roles.get("ping"))
     _check_order(table, toa)
     speed, more = _speed(table, roles.get("sound_speed"), sound_speed)
+    guessed = sound_speed is None and "sound_speed" not in roles
     notes += more + _remarks(table, toa, used, speed)
     depth = table.numbers(roles["depth"]) if "depth" in roles else None
     report = ReadReport("TOA matrix", (table.file,), len(table), (*table.notes, *notes))
@@ -76,6 +82,7 @@ def toa_from_table(
         ping,
         schedule or Schedule(),
         depth,
+        sound_speed_sd=DEFAULT_SOUND_SPEED_SD if guessed else None,
         report=report,
     )
 
@@ -193,8 +200,7 @@ def _speed(table: Table, k: int | None, given: float | None) -> tuple[np.ndarray
             )
     else:
         speed = np.full(n, DEFAULT_SOUND_SPEED)
-        text = "no sound speed given: 1500 m/s assumed (a 1 % error moves positions by metres)"
-        notes.append(table.note("warning", text))
+        notes.append(table.note("warning", NO_SPEED))
     if n and not (1300 <= speed.min() and speed.max() <= 1700):
         text = f"sound speed {speed.min():g}..{speed.max():g} m/s is not that of water"
         notes.append(table.note("warning", text))
