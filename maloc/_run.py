@@ -45,6 +45,14 @@ class Remembered:
         """Draws of all sites, (chain, draw, ...)."""
         return self._once("draws", n, seed)
 
+    def to_datatree(self) -> Any:
+        """Everything as a DataTree, whose posterior becomes what `draws` gives."""
+        from maloc.plots._source import posterior
+
+        tree = self._fit.to_datatree()
+        self._known.setdefault(("draws", 1000, 0), posterior(tree))
+        return tree
+
     def residuals(self) -> np.ndarray:
         """Residuals (T, R), s."""
         return self._once("residuals")[:, : self._n]
