@@ -14,7 +14,7 @@ import numpy as np
 from maloc.data.arrivals import Schedule
 from maloc.errors import InputError
 
-__all__ = ["log_density", "log_uniform_sum", "soft_limits"]
+__all__ = ["log_density", "log_uniform_sum", "log_uniform_sum_slope", "soft_limits"]
 
 _EDGE = 5e-3  # s by which real tags break a limit, and
 _RELATIVE_EDGE = 1e-4  # the share of the limit (the tag's clock)
@@ -78,7 +78,7 @@ def log_uniform_sum(m: int, x: np.ndarray, slack: float) -> np.ndarray:
         variance = m / 12 + slack**2 / 3
         normal = -0.5 * (x - m / 2) ** 2 / variance - 0.5 * np.log(2 * np.pi * variance)
         return np.where(x > -slack, normal, -np.inf)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # log 0 is meant: -inf
         if slack == 0:
             b, log_scale = splines(m, x)
             return np.log(b[..., 0]) + log_scale
@@ -87,6 +87,17 @@ def log_uniform_sum(m: int, x: np.ndarray, slack: float) -> np.ndarray:
         below, above = np.log(b.sum(axis=-1)) + log_scale
         share = -np.expm1(np.where(above > -np.inf, below - above, -1.0))
         return above + np.log(np.maximum(share, 0.0)) - np.log(2 * slack)
+
+
+def log_uniform_sum_slope(m: int, x: np.ndarray) -> np.ndarray:
+    """Derivative at x in (0, m) of the log density of the sum of m >= 2 uniforms on (0, 1)."""
+    if m > _EXACT_UP_TO:
+        return (m / 2 - x) / (m / 12)
+    lower = np.minimum(x, m - x)
+    b, _ = splines(m - 1, lower)
+    here, before = b[..., 0], b[..., 1] if b.shape[-1] > 1 else 0.0
+    slope = (m - 1) * (here - before) / (lower * here + (m - lower) * before)
+    return np.where(x <= m - x, slope, -slope)
 
 
 def log_density(n, gap, schedule: Schedule, slack: float) -> np.ndarray:

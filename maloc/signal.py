@@ -19,7 +19,12 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import expit
 
-from maloc._interval_sums import log_density, log_uniform_sum, soft_limits
+from maloc._interval_sums import (
+    log_density,
+    log_uniform_sum,
+    log_uniform_sum_slope,
+    soft_limits,
+)
 from maloc.data.arrivals import Schedule
 from maloc.errors import InputError
 
@@ -34,6 +39,7 @@ __all__ = [
 
 _REACH = 6.0  # sds of a stable schedule's gap that count as feasible
 _TINY = 1e-12
+_MOST_TRIES = 10_000  # of a rejection step; about 2 are needed
 
 
 def interval_sum_density(n, gap, schedule: Schedule, *, slack: float = 0.0) -> np.ndarray:
@@ -335,22 +341,43 @@ def _bridge(rng, gap: float, m: int, sd: float, size: int) -> np.ndarray:
 def _uniforms_with_sum(rng, total: float, m: int, size: int) -> np.ndarray:
     """Draws (size, m) of m uniforms on (0, 1) given their sum `total` in (0, m).
 
-    The first of k uniforms has density ~ f_(k-1)(rest - u), unimodal with its peak at the middle.
+    Given the rest, the first of k uniforms has density ~ f_(k-1)(rest - u). That is log-concave, so
+    a tangent of its log bounds it: a truncated exponential to reject from, close to it for large k.
     """
     out = np.empty((size, m))
     rest = np.full(size, float(total))
-    for k in range(m, 1, -1):
+    for k in range(m, 2, -1):
         low = np.maximum(rest - (k - 1), 0.0)
-        high = np.minimum(rest, 1.0)
-        peak = np.clip((k - 1) / 2, rest - high, rest - low)
-        log_peak = log_uniform_sum(k - 1, peak, 0.0)
+        length = np.minimum(rest, 1.0) - low
+        touch = np.full(size, 0.5)  # where the tangent touches, in shares of the range
+        for _ in range(2):
+            at = rest - low - touch * length
+            tilt = -log_uniform_sum_slope(k - 1, at) * length
+            steep = np.abs(tilt) + 1e-6
+            middle = 1 / steep - 1 / np.expm1(np.minimum(steep, 700.0))
+            touch = np.where(tilt > 0, 1 - middle, middle)
+        at = rest - low - touch * length
+        tilt = -log_uniform_sum_slope(k - 1, at) * length
+        height = log_uniform_sum(k - 1, at, 0.0)
         todo = np.arange(size)
-        while len(todo):
-            u = low[todo] + (high[todo] - low[todo]) * rng.random(len(todo))
-            log_share = log_uniform_sum(k - 1, rest[todo] - u, 0.0) - log_peak[todo]
-            accept = ~(np.log(rng.random(len(todo))) > log_share)
-            out[todo[accept], m - k] = u[accept]
-            todo = todo[~accept]
+        for _ in range(_MOST_TRIES):
+            share = _truncated_exponential(rng, tilt[todo])
+            value = rest[todo] - low[todo] - share * length[todo]
+            bound = height[todo] + tilt[todo] * (share - touch[todo])
+            log_ratio = log_uniform_sum(k - 1, value, 0.0) - bound
+            out[todo, m - k] = low[todo] + share * length[todo]
+            todo = todo[np.log(rng.random(len(todo))) > log_ratio]
+            if not len(todo):
+                break
         rest = np.clip(rest - out[:, m - k], 0.0, k - 1)
-    out[:, -1] = rest
+    low = np.maximum(rest - 1, 0.0)
+    out[:, -2] = low + (np.minimum(rest, 1.0) - low) * rng.random(size)
+    out[:, -1] = rest - out[:, -2]
     return out
+
+
+def _truncated_exponential(rng, tilt: np.ndarray) -> np.ndarray:
+    """Draws on (0, 1) with density ~ exp(tilt u)."""
+    steep = np.abs(tilt) + 1e-12
+    falling = -np.log1p(rng.random(tilt.shape) * np.expm1(-steep)) / steep
+    return np.where(tilt > 0, 1 - falling, falling)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from math import comb, factorial
+
 import mpmath
 import numpy as np
 
@@ -222,3 +225,33 @@ def conditional(covariance, known, values, digits=50):
         mean = gain * mpmath.matrix([mpmath.mpf(float(v)) for v in values])
         spread = pick(rest, rest) - gain * pick(known, rest)
         return as_floats(mean)[:, 0], as_floats(spread)
+
+
+# -- signal ------------------------------------------------------------------------------------
+
+
+def uniform_sum_density(m, x):
+    """Irwin-Hall density of the sum of m uniforms on (0, 1): the alternating sum in fractions."""
+    x = Fraction(x)
+    terms = ((-1) ** k * comb(m, k) * (x - k) ** (m - 1) for k in range(m + 1) if k < x)
+    return float(sum(terms) / factorial(m - 1)) if m > 1 else float(0 <= x < 1)
+
+
+def simulate_gaps(rng, lo, hi, p_missed, size, most=40):
+    """Times from a heard ping to the next heard one, and how many pings were missed in between."""
+    missed = rng.geometric(1 - p_missed, size) - 1
+    missed = missed[missed < most]
+    steps = rng.uniform(lo, hi, (len(missed), most + 1))
+    gaps = np.cumsum(steps, axis=1)[np.arange(len(missed)), missed]
+    return gaps, missed
+
+
+def intervals_given_sum(rng, lo, hi, m, total, size):
+    """Uniform intervals given their sum, by rejection: all but the last free, the last allowed."""
+    kept = []
+    while sum(map(len, kept)) < size:
+        steps = rng.uniform(lo, hi, (200_000, m - 1))
+        last = total - steps.sum(axis=1)
+        good = (last >= lo) & (last <= hi)
+        kept.append(np.column_stack([steps, last])[good])
+    return np.concatenate(kept)[:size]
