@@ -28,7 +28,7 @@ def _split(draws: np.ndarray) -> np.ndarray:
 
 def _normal_scores(draws: np.ndarray) -> np.ndarray:
     chains, n, m = draws.shape
-    ranks = rankdata(draws.reshape(-1, m), axis=0)
+    ranks = rankdata(draws.reshape(chains * n, m), axis=0)
     return norm.ppf((ranks - 0.375) / (chains * n + 0.25)).reshape(chains, n, m)
 
 
@@ -43,7 +43,8 @@ def _plain_r_hat(draws: np.ndarray) -> np.ndarray:
 def r_hat(draws: np.ndarray) -> np.ndarray:
     """Rank-normalised split R-hat of draws (chain, draw, ...), larger of bulk and folded."""
     halves = _split(draws)
-    folded = np.abs(halves - np.median(halves.reshape(-1, halves.shape[-1]), axis=0))
+    middle = np.median(halves.reshape(halves.shape[0] * halves.shape[1], -1), axis=0)
+    folded = np.abs(halves - middle)
     both = [_plain_r_hat(_normal_scores(part)) for part in (halves, folded)]
     return np.maximum(*both).reshape(draws.shape[2:])
 
@@ -86,7 +87,8 @@ def ess_bulk(draws: np.ndarray) -> np.ndarray:
 def ess_tail(draws: np.ndarray) -> np.ndarray:
     """Tail effective sample size: the smaller of the 5 % and 95 % quantiles' indicators'."""
     halves = _split(draws)
-    low, high = np.quantile(draws.reshape(-1, halves.shape[-1]), [0.05, 0.95], axis=0)
+    flat = draws.reshape(draws.shape[0] * draws.shape[1], -1)
+    low, high = np.quantile(flat, [0.05, 0.95], axis=0)
     both = [_ess((halves <= low).astype(float)), _ess((halves <= high).astype(float))]
     return np.minimum(*both).reshape(draws.shape[2:])
 

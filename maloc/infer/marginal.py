@@ -147,6 +147,11 @@ def maximise_marginal(
     -------
     MarginalFit
     """
+    if cm.k == 0:
+        mode = find_mode(cm, args, x, u, max_steps=50)
+        factor = _factor(cm.terms(mode.x, u, args, 0.0, False)[2], cm.d)
+        value, slope = mode.value + 0.5 * factor.log_det, np.zeros((0, *mode.x.shape))
+        return MarginalFit(mode.x, u, value, factor, slope, np.zeros((0, 0)), 1, mode.converged)
     scale = np.full(cm.k, 0.1)
     marginal = _Marginal(cm, args, x, scale)
     start = marginal(u)

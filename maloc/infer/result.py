@@ -153,10 +153,8 @@ class Fit:
 
 
 def _flat_pair(x: np.ndarray, u: np.ndarray):
-    return (
-        jnp.asarray(x.reshape(-1, *x.shape[2:])),
-        jnp.asarray(u.reshape(-1, u.shape[-1])),
-    )
+    draws = x.shape[0] * x.shape[1]
+    return jnp.asarray(x.reshape(draws, *x.shape[2:])), jnp.asarray(u.reshape(draws, -1))
 
 
 class LaplaceFit(Fit):

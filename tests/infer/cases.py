@@ -87,6 +87,12 @@ def fixes(dt, observed):
     numpyro.sample("fix", dist.Normal(track, noise), obs=observed)
 
 
+def known_fixes(dt, observed):
+    """`fixes` with its parameters known: a path and nothing else."""
+    track = numpyro.sample("track", Brownian(dt, 1.2, jnp.zeros(2), SPREAD))
+    numpyro.sample("fix", dist.Normal(track, 0.7), obs=observed)
+
+
 def fixes_data(seed: int = 0, length: int = 14):
     """Unequal steps (s) and observed positions (m) for `fixes`."""
     rng = np.random.default_rng(seed)
