@@ -98,6 +98,7 @@ def design(pings: int = 24, step: float = 30.0, spread: float = 100.0) -> ToaDat
         time=step * jnp.arange(pings),
         dt=jnp.full(pings - 1, step),
         speed=jnp.full(pings, 1500.0),
+        speed_sd=jnp.asarray(0.01),
         receiver_xy=jnp.asarray(xy),
         centre=jnp.zeros(2),
         spread=jnp.asarray(spread),

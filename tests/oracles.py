@@ -177,11 +177,12 @@ def from_band(band):
     return out
 
 
-def fixes_posterior(dt, observed, sigma_step, noise, spread):
+def fixes_posterior(dt, observed, u, spread):
     """Brownian track seen with Gaussian error, all dense: log evidence, mean (T, A), cov (T, T).
 
-    The covariance is one axis's, given the parameters; both axes share it. Centre 0.
+    u = (log sigma_step, log noise). The covariance is one axis's; both share it. Centre 0.
     """
+    sigma_step, noise = np.exp(u)
     times = np.concatenate([[0.0], np.cumsum(dt)])
     prior = brownian_covariance(times, sigma_step, spread)
     total = prior + noise**2 * np.eye(len(times))
@@ -194,7 +195,7 @@ def fixes_posterior(dt, observed, sigma_step, noise, spread):
 
 def fixes_log_posterior(u, dt, observed, spread):
     """Log evidence plus log prior of u = (log sigma_step, log noise): N(0, 1), N(0, 1/2)."""
-    evidence = fixes_posterior(dt, observed, np.exp(u[0]), np.exp(u[1]), spread)[0]
+    evidence = fixes_posterior(dt, observed, u, spread)[0]
     prior = -0.5 * u[0] ** 2 - 0.5 * (u[1] / 0.5) ** 2 - np.log(0.5) - np.log(2 * np.pi)
     return evidence + prior
 
@@ -206,7 +207,7 @@ def fixes_moments(dt, observed, spread, centre, reach, n=41):
     logs = np.array([fixes_log_posterior(u, dt, observed, spread) for u in grid])
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
-    parts = [fixes_posterior(dt, observed, *np.exp(u), spread)[1:] for u in grid]
+    parts = [fixes_posterior(dt, observed, u, spread)[1:] for u in grid]
     means = np.array([m for m, _ in parts])
     variances = np.array([np.diag(c)[:, None] + m**2 for m, c in parts])
     mean_u, mean_x = weight @ grid, np.einsum("g,gta->ta", weight, means)

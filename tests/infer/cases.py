@@ -109,11 +109,11 @@ def ranges_only(dt, beacons, ranges):
     """Brownian track and a wandering range bias (marked as a chain on the site), Student errors."""
     sigma_step = numpyro.sample("sigma_step", dist.LogNormal(0.0, 1.0))
     scale = numpyro.sample("scale", dist.HalfNormal(2.0))
-    weights = numpyro.sample("weights", dist.Dirichlet(jnp.ones(3)))
-    track = numpyro.sample("track", Brownian(dt, sigma_step, jnp.zeros(2), 50.0))
+    weights = jnp.asarray(numpyro.sample("weights", dist.Dirichlet(jnp.ones(3))))
+    track = jnp.asarray(numpyro.sample("track", Brownian(dt, sigma_step, jnp.zeros(2), 50.0)))
     length = dt.shape[0] + 1
     law = dist.Normal(0.0, 1.0).expand((length,)).to_event(1)
-    bias = numpyro.sample("bias", law, infer={"is_chain": True})
+    bias = jnp.asarray(numpyro.sample("bias", law, infer={"is_chain": True}))
     off = track[:, None, :] - beacons[None]
     distance = jnp.sqrt(jnp.sum(off**2, axis=-1) + 0.01)
     bearing = jnp.arctan2(off[:, 0, 1], off[:, 0, 0] + 200.0)

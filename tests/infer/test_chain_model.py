@@ -193,9 +193,14 @@ class TestRefused:
 
 
 COMPILED: list[str] = []
-jax.monitoring.register_event_duration_secs_listener(
-    lambda event, duration, **_: COMPILED.append(event) if "backend_compile" in event else None
-)
+
+
+def _count_compilation(event: str, duration_secs: float, **_: object) -> None:
+    if "backend_compile" in event:
+        COMPILED.append(event)
+
+
+jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
 
 def test_a_second_data_set_of_one_shape_compiles_nothing():
