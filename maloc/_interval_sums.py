@@ -71,10 +71,12 @@ def splines(m: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return b, log_scale
 
 
-def log_uniform_sum(m: int, x: np.ndarray, slack: float) -> np.ndarray:
+def log_uniform_sum(
+    m: int, x: np.ndarray, slack: float = 0.0, exact_up_to: int = _EXACT_UP_TO
+) -> np.ndarray:
     """Log density at x of the sum of m uniforms on (0, 1) and one on (-slack, slack)."""
     x = np.minimum(x, m - x)  # symmetric; the lower half keeps its relative precision
-    if m > _EXACT_UP_TO:
+    if m > exact_up_to:
         variance = m / 12 + slack**2 / 3
         normal = -0.5 * (x - m / 2) ** 2 / variance - 0.5 * np.log(2 * np.pi * variance)
         return np.where(x > -slack, normal, -np.inf)
@@ -89,9 +91,9 @@ def log_uniform_sum(m: int, x: np.ndarray, slack: float) -> np.ndarray:
         return above + np.log(np.maximum(share, 0.0)) - np.log(2 * slack)
 
 
-def log_uniform_sum_slope(m: int, x: np.ndarray) -> np.ndarray:
+def log_uniform_sum_slope(m: int, x: np.ndarray, exact_up_to: int = _EXACT_UP_TO) -> np.ndarray:
     """Derivative at x in (0, m) of the log density of the sum of m >= 2 uniforms on (0, 1)."""
-    if m > _EXACT_UP_TO:
+    if m > exact_up_to:
         return (m / 2 - x) / (m / 12)
     lower = np.minimum(x, m - x)
     b, _ = splines(m - 1, lower)

@@ -39,6 +39,7 @@ __all__ = [
 
 _REACH = 6.0  # sds of a stable schedule's gap that count as feasible
 _TINY = 1e-12
+_EXACT_DRAWS, _MOST_EXACT_DRAWS = 40, 300  # intervals; the remainder is normal beyond
 _MOST_TRIES = 10_000  # of a rejection step; about 2 are needed
 
 
@@ -278,9 +279,10 @@ def draw_missed_times(
     """Draws of the emission times of a gap's missed pings, given how many they are.
 
     Random schedule: exact draws of the intervals given their sum, one after the other, by rejection
-    (up to 300 intervals; the remainder's density is taken as normal beyond). Stable: a Gaussian
-    bridge. Limits are the stated ones where these allow the gap, else the soft ones; where not even
-    those do, the pings are spaced evenly.
+    (the sum of more than 40 remaining intervals is taken as normal where their mean lies in the
+    middle of the limits; of more than 300 always). Stable: a Gaussian bridge. Limits are the stated
+    ones where these allow the gap, else the soft ones; where not even those do, the pings are
+    spaced evenly.
 
     Parameters
     ----------
@@ -346,25 +348,27 @@ def _uniforms_with_sum(rng, total: float, m: int, size: int) -> np.ndarray:
     """
     out = np.empty((size, m))
     rest = np.full(size, float(total))
+    # many intervals of middling length: the normal is as good, and the cost stays linear
+    exact = _EXACT_DRAWS if abs(total / m - 0.5) < 0.15 else _MOST_EXACT_DRAWS
     for k in range(m, 2, -1):
         low = np.maximum(rest - (k - 1), 0.0)
         length = np.minimum(rest, 1.0) - low
         touch = np.full(size, 0.5)  # where the tangent touches, in shares of the range
         for _ in range(2):
             at = rest - low - touch * length
-            tilt = -log_uniform_sum_slope(k - 1, at) * length
+            tilt = -log_uniform_sum_slope(k - 1, at, exact) * length
             steep = np.abs(tilt) + 1e-6
             middle = 1 / steep - 1 / np.expm1(np.minimum(steep, 700.0))
             touch = np.where(tilt > 0, 1 - middle, middle)
         at = rest - low - touch * length
-        tilt = -log_uniform_sum_slope(k - 1, at) * length
-        height = log_uniform_sum(k - 1, at, 0.0)
+        tilt = -log_uniform_sum_slope(k - 1, at, exact) * length
+        height = log_uniform_sum(k - 1, at, exact_up_to=exact)
         todo = np.arange(size)
         for _ in range(_MOST_TRIES):
             share = _truncated_exponential(rng, tilt[todo])
             value = rest[todo] - low[todo] - share * length[todo]
             bound = height[todo] + tilt[todo] * (share - touch[todo])
-            log_ratio = log_uniform_sum(k - 1, value, 0.0) - bound
+            log_ratio = log_uniform_sum(k - 1, value, exact_up_to=exact) - bound
             out[todo, m - k] = low[todo] + share * length[todo]
             todo = todo[np.log(rng.random(len(todo))) > log_ratio]
             if not len(todo):

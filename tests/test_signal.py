@@ -257,18 +257,18 @@ def test_draws_equal_rejection_sampling(m, share):
         assert stats.ks_2samp(view(steps), view(want)).pvalue > FALSE_ALARM  # type: ignore
 
 
-@pytest.mark.parametrize("m", [12, 60])
+@pytest.mark.parametrize("m", [12, 60, 100])
 def test_many_intervals_given_their_sum_are_exchangeable(m):
     """Without a preferred place: first, middle and last interval have one distribution."""
-    for share in (0.05, 0.4):
+    for share in (0.05, 0.4) if m < 100 else (0.4,):
         gap = m * (60 + share * 120)
-        steps = _steps(draw_missed_times(np.random.default_rng(5), gap, m - 1, RANDOM, 3000), gap)
+        steps = _steps(draw_missed_times(np.random.default_rng(5), gap, m - 1, RANDOM, 2000), gap)
         for k in (m // 2, m - 2, m - 1):
             assert stats.ks_2samp(steps[:, 0], steps[:, k]).pvalue > FALSE_ALARM  # type: ignore
 
 
 @pytest.mark.parametrize("m", [2, 12, 60, 320])
-@pytest.mark.parametrize("share", [1e-6, 0.03, 0.5, 0.99])
+@pytest.mark.parametrize("share", [1e-6, 0.5, 0.99])
 def test_draws_keep_the_limits_and_the_sum(m, share):
     gap = m * (60 + share * 120)
     times = draw_missed_times(np.random.default_rng(4), gap, m - 1, RANDOM, 20)
