@@ -78,7 +78,7 @@ class ChainModel:
 
     def __init__(self, model: Callable, options: dict, args: tuple, path: tuple | None) -> None:
         self.model, self.options = model, options
-        trace = self._trace({}, args)
+        trace = self._abstract(args)
         self.chain: list[ChainSite] = []
         self.globals: list[GlobalSite] = []
         start = place = 0
@@ -117,17 +117,27 @@ class ChainModel:
         self.natural = jax.jit(self._natural)
         self.pointwise = jax.jit(self._pointwise)
         self.prior_draws = jax.jit(self._prior_draws)
+        self.unconstrain = jax.jit(self._unconstrain)
 
     def _trace(self, values: dict, args: tuple):
         model = handlers.seed(self.model, rng_seed=0)
         model = handlers.substitute(model, data=values)
         return handlers.trace(model).get_trace(*args, **self.options)
 
+    def _abstract(self, args: tuple) -> dict:
+        """The model's trace with shapes in place of numbers: nothing is computed or compiled."""
+        seen = {}
+
+        def look(args):
+            seen.update(self._trace({}, args))
+            return 0
+
+        jax.eval_shape(look, args)
+        return seen
+
     def length(self, args: tuple) -> int:
         """Number of states T for these arguments."""
-        name = self.chain[0].name
-        shapes = jax.eval_shape(lambda a: self._trace({}, a)[name]["value"], args)
-        return shapes.shape[0]
+        return jnp.shape(self._abstract(args)[self.chain[0].name]["value"])[0]
 
     # -- flat <-> sites ---------------------------------------------------------------------
 
@@ -148,10 +158,12 @@ class ChainModel:
 
     def flat_globals(self, values: dict) -> np.ndarray:
         """Natural parameter values as one unconstrained vector (k,)."""
-        parts = [
-            np.ravel(s.transform._inverse(jnp.asarray(values[s.name], float))) for s in self.globals
-        ]
+        natural = {s.name: jnp.asarray(values[s.name], float) for s in self.globals}
+        parts = [np.ravel(part) for part in self.unconstrain(natural)]
         return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _unconstrain(self, values: dict) -> list:
+        return [s.transform._inverse(values[s.name]) for s in self.globals]
 
     def _prior_draws(self, keys, args: tuple) -> dict:
         """Parameter sites drawn from the prior, a draw a key."""
@@ -253,14 +265,9 @@ class ChainModel:
         return value, gradient, self._band(lambda m: slope(m, u, args, temper), x)
 
     def _cross(self, x, u, args):
-        """Gradient in u and the mixed derivative d2 / dx du (k, T, d) of the negative log joint."""
-        both = jax.grad(self._value, argnums=(0, 1))
-
-        def along(direction):
-            return jax.jvp(lambda v: both(x, v, args, 0.0), (u,), (direction,))
-
-        (_, gradient), (mixed, _) = jax.vmap(along)(jnp.eye(self.k))
-        return gradient[0], mixed
+        """Mixed derivative d2 / du dx (k, T, d) of the negative log joint."""
+        slope = jax.grad(self._value)
+        return jnp.moveaxis(jax.jacfwd(lambda v: slope(x, v, args, 0.0))(u), -1, 0)
 
     # -- what the user sees -----------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maloc._jax import jnp
+from maloc._jax import jax, jnp
 from maloc.arrival import DDetect
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
@@ -151,6 +151,11 @@ def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.nd
     return cm.flat_globals(values)
 
 
+@jax.jit
+def _score(residual, sigma, phi, w):
+    return DDetect(0.0, sigma, phi, w, background=1e-4).log_prob(residual)
+
+
 def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
     """Better emission time (and position) for pings that have one: path, any moved or not."""
     columns, emission = _position_columns(cm), _column(cm, "emission")
@@ -158,8 +163,7 @@ def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
     heard, ranges = np.asarray(data.heard), np.asarray(data.range)
     valid = np.asarray(data.valid)
     sigma = 1.5 * float(values.get("sigma", 2.0)) + 0.5
-    w = float(values.get("w", 0.1))
-    law = DDetect(0.0, sigma, float(data.phi), np.clip(w, 0.01, 0.5), background=1e-4)
+    w = float(np.clip(values.get("w", 0.1), 0.01, 0.5))
     xy = x[:, columns]
     between = xy.copy()
     between[1:-1] = 0.5 * (xy[:-2] + xy[2:])
@@ -169,7 +173,9 @@ def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
     current = np.broadcast_to(x[:, None, None, emission], (*reach.shape[:2], 1))
     tried = np.concatenate([current, reach], axis=2)  # (T, 2, R + 1)
     residual = (ranges[:, None] - distance)[:, :, None] - tried[..., None]
-    score = np.where(heard[:, None, None], np.asarray(law.log_prob(residual)), 0.0).sum(axis=-1)
+    score = np.where(
+        heard[:, None, None], np.asarray(_score(residual, sigma, data.phi, w)), 0.0
+    ).sum(axis=-1)
     score[:, :, 1:] = np.where(heard[:, None], score[:, :, 1:], -np.inf)
     flat = score.reshape(len(x), -1)
     best = flat.argmax(axis=1)

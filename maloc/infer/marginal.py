@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from maloc._jax import jax
 from maloc.infer._chain import ChainFactor
 from maloc.infer._model import ChainModel
 from maloc.infer.mode import Mode, _factor, find_mode
@@ -54,7 +53,6 @@ class _Marginal:
 
     def __init__(self, cm: ChainModel, args: tuple, x: np.ndarray, scale: np.ndarray) -> None:
         self.cm, self.args, self.scale = cm, args, scale
-        self.sweep = _sweep(cm)
         self.best: _Point | None = None
         self.best_u: np.ndarray | None = None
         self.start = x
@@ -63,9 +61,11 @@ class _Marginal:
     def profile(self, x, u, slope, offsets):
         """Negative log marginal, to the second order in the path, at u + offsets (m, k)."""
         xs = x + np.einsum("mk,ktd->mtd", offsets, slope)
-        values, bands = self.sweep(xs, u + offsets, self.args)
-        logs = [_factor(band, self.cm.d).log_det for band in np.asarray(bands)]
-        return np.asarray(values) + 0.5 * np.asarray(logs)
+        out = []
+        for x, v in zip(xs, u + offsets, strict=True):
+            value, _, band = self.cm.terms(x, v, self.args, 0.0, False)
+            out.append(float(value) + 0.5 * _factor(band, self.cm.d).log_det)
+        return np.asarray(out)
 
     def __call__(self, u: np.ndarray) -> _Point:
         cm, k = self.cm, self.cm.k
@@ -76,7 +76,7 @@ class _Marginal:
         mode = find_mode(cm, self.args, x, u, max_steps=25, tol=1e-5)
         band = cm.terms(mode.x, u, self.args, 0.0, False)[2]
         factor = _factor(band, cm.d)
-        mixed = np.asarray(cm.cross(mode.x, u, self.args)[1])
+        mixed = np.asarray(cm.cross(mode.x, u, self.args))
         slope = -factor.solve(mixed)
         value = mode.value + 0.5 * factor.log_det
         offsets = np.concatenate([np.diag(self.scale), -np.diag(self.scale)]) * 0.05
@@ -90,19 +90,6 @@ class _Marginal:
         return point
 
 
-def _sweep(cm: ChainModel):
-    """Value and Gauss-Newton band at a batch of points, one compiled function a model."""
-    made = cm.__dict__.get("sweep")
-    if made is None:
-
-        def one(x, u, args):
-            value, _, band = cm._robust_terms(x, u, args, 0.0, False)
-            return value, band
-
-        made = cm.__dict__["sweep"] = jax.jit(jax.vmap(one, in_axes=(0, 0, None)))
-    return made
-
-
 def _covariance(marginal: _Marginal, point: _Point, u: np.ndarray, scale: np.ndarray):
     """Covariance of the parameters from second differences of the profile, (k, k)."""
     k = len(u)
@@ -110,14 +97,7 @@ def _covariance(marginal: _Marginal, point: _Point, u: np.ndarray, scale: np.nda
     signs = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
     eye = np.diag(0.5 * scale)
     offsets = np.array([a * eye[i] + b * eye[j] for i, j in pairs for a, b in signs])
-    batch = 2 * k
-    padded = np.concatenate([offsets, np.zeros((-len(offsets) % batch, k))])
-    values = np.concatenate(
-        [
-            marginal.profile(point.mode.x, u, point.slope, part)
-            for part in padded.reshape(-1, batch, k)
-        ]
-    )[: len(offsets)].reshape(-1, 4)
+    values = marginal.profile(point.mode.x, u, point.slope, offsets).reshape(-1, 4)
     hessian = np.zeros((k, k))
     for (i, j), v in zip(pairs, values, strict=True):
         hessian[i, j] = hessian[j, i] = (v[0] - v[1] - v[2] + v[3]) / (4 * eye[i, i] * eye[j, j])

@@ -123,10 +123,9 @@ def test_cross_derivative():
     args = cases.ranges_data()
     cm = chain_model(cases.ranges_only, {}, args)
     x, u = some_point(cm, args)
-    gradient, mixed = cm.cross(x, u, args)
-    slope = jax.jit(jax.grad(lambda x, u: -cm.log_joint(x, u, args), argnums=(0, 1)))
-    np.testing.assert_allclose(gradient, slope(x, u)[1], rtol=1e-9)
-    wanted = jax.jit(jax.jacobian(lambda u: slope(x, u)[0]))(jnp.asarray(u))
+    mixed = cm.cross(x, u, args)
+    slope = jax.jit(jax.grad(lambda x, u: -cm.log_joint(x, u, args)))
+    wanted = jax.jit(jax.jacobian(lambda u: slope(x, u)))(jnp.asarray(u))
     np.testing.assert_allclose(mixed, np.moveaxis(wanted, -1, 0), rtol=1e-8, atol=1e-8)
 
 
