@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -13,6 +14,7 @@ from maloc.errors import InputError
 
 __all__ = ["check_free", "output_folder"]
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
 MARK = "summary.json"  # every folder that maloc writes has one; only such a folder is replaced
 
 
@@ -82,8 +84,10 @@ def output_folder(out: Path, force: bool = False) -> Iterator[Path]:
             yield work
             work.chmod(0o777 & ~_umask())
             _put(work, out, force)
-        except BaseException:
+        except BaseException as problem:
             shutil.rmtree(work, ignore_errors=True)
+            if isinstance(problem, OSError) and problem.errno in FULL:
+                raise InputError(f"cannot be written ({problem.strerror})", file=out) from problem
             raise
     except BaseException:
         for folder in made:

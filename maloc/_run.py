@@ -95,8 +95,9 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
     FitError
         If the fit fails.
     """
-    from maloc import infer, models
-    from maloc.infer.track import track_table
+    with log.stage("engine start"):  # JAX is imported here, and nowhere before
+        from maloc import infer, models
+        from maloc.infer.track import track_table
 
     heard = np.unique(toa.receivers.receiver[toa.heard.any(0)])
     line = mirror_line(receivers, np.isin(receivers.receiver, heard))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -54,6 +55,12 @@ def test_a_failure_leaves_nothing_behind(tmp_path: Path):
     with pytest.raises(RuntimeError), output_folder(tmp_path / "runs" / "one") as work:
         (work / "track.csv").write_text("half")
         raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_said_in_one_line(tmp_path: Path):
+    with pytest.raises(InputError, match="No space left"), output_folder(tmp_path / "one"):
+        raise OSError(errno.ENOSPC, "No space left on device")
     assert list(tmp_path.iterdir()) == []
 
 
