@@ -8,7 +8,7 @@ import numpy as np
 
 from maloc.plots._residuals import draw_arrivals, draw_residuals
 from maloc.plots._source import Track, posterior, track_of
-from maloc.plots._style import CYCLE, INK, LATE, TRACK, new_axes, tidy, time_axis
+from maloc.plots._style import CYCLE, INK, LATE, TRACK, legend_above, new_axes, tidy, time_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,9 +97,8 @@ def spread(track: Track, *, ax: Any = None) -> Axes:
         ax.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter("")
-    tidy(ax, label, "sd (m)", "Posterior sd (circles: unheard pings)")
-    ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
-    return ax
+    tidy(ax, label, "sd (m)", "Posterior sd (circles: unheard)")
+    return legend_above(ax)
 
 
 def intervals(time: np.ndarray, *, ax: Any = None) -> Axes:

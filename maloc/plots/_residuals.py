@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc.plots._source import posterior
-from maloc.plots._style import LATE, TRACK, new_axes, tidy, time_axis
+from maloc.plots._style import LATE, TRACK, legend_above, new_axes, tidy, time_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -114,15 +114,10 @@ def draw_arrivals(
     ax.set_xticks(place[::step], names[::step], rotation=60, ha="right", fontsize=7)
     tidy(ax, "", "arrivals", "Arrivals at each receiver")
     ax.grid(False, axis="x")
-    _legend_above(ax)
-    return ax
+    return legend_above(ax)
 
 
 def _direct_colours() -> Any:
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("direct", [LATE, "#DDDDDD", TRACK])
-
-
-def _legend_above(ax: Axes) -> None:
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, fontsize=8)

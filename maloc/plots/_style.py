@@ -9,7 +9,18 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["CYCLE", "INK", "LATE", "PALE", "TRACK", "TRUTH", "new_axes", "tidy"]
+__all__ = [
+    "CYCLE",
+    "INK",
+    "LATE",
+    "PALE",
+    "TRACK",
+    "TRUTH",
+    "legend_above",
+    "new_axes",
+    "tidy",
+    "time_axis",
+]
 
 # Okabe and Ito's palette: told apart by all common kinds of colour vision
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -38,6 +49,12 @@ def tidy(ax: Axes, xlabel: str = "", ylabel: str = "", title: str = "") -> Axes:
     ax.set_ylabel(ylabel)
     if title:
         ax.set_title(title, loc="left", fontsize="medium", fontweight="bold", color=INK)
+    return ax
+
+
+def legend_above(ax: Axes) -> Axes:
+    """Lay a legend of two columns above the right end of the axes, where it hides nothing."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, fontsize=8)
     return ax
 
 
