@@ -8,8 +8,7 @@ as L L'.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.linalg.lapack import dtbtrs
+from scipy.linalg import cho_solve_banded, cholesky_banded, get_lapack_funcs
 
 __all__ = ["ChainFactor"]
 
@@ -57,7 +56,8 @@ class ChainFactor:
     def unwhiten(self, z: np.ndarray) -> np.ndarray:
         """L^-T z for z (..., T, d): draws of N(0, H^-1) where z is standard normal."""
         flat = z.reshape(-1, self.length * self.d).T
-        out, info = dtbtrs(self.lower, flat, uplo="L", trans="T")
+        (tbtrs,) = get_lapack_funcs(("tbtrs",), (self.lower, flat))
+        out, info = tbtrs(self.lower, flat, uplo="L", trans="T")
         if info:
             raise np.linalg.LinAlgError("singular factor")
         return out.T.reshape(z.shape)

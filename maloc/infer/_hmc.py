@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpyro.infer.hmc import hmc
@@ -26,12 +26,12 @@ _DEPTH = 8
 class Chunk(NamedTuple):
     """Draws of one chunk: x (n, T, d), u (n, k), potential, steps, accept, diverging, each (n,)."""
 
-    x: jax.Array
-    u: jax.Array
-    potential: jax.Array
-    steps: jax.Array
-    accept: jax.Array
-    diverging: jax.Array
+    x: Any
+    u: Any
+    potential: Any
+    steps: Any
+    accept: Any
+    diverging: Any
 
 
 class Kernel(NamedTuple):
@@ -79,8 +79,8 @@ def _nuts(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         def one(state, _):
             state = step(state, (m, args))
             x, u, _ = from_white(m, state.z)
-            out = state.potential_energy, state.num_steps, state.accept_prob, state.diverging
-            return state, Chunk(x, u, *out)
+            energy, steps = state.potential_energy, state.num_steps
+            return state, Chunk(x, u, energy, steps, state.accept_prob, state.diverging)
 
         return jax.lax.scan(one, state, length=CHUNK)
 
@@ -115,7 +115,8 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         return key, white, *value_and_grad(white, m, args)
 
     def start(key, m, args):
-        return _HmcState(*begin(key, m, args), jnp.log(0.25), ())
+        key, white, energy, gradient = begin(key, m, args)
+        return _HmcState(key, white, energy, gradient, jnp.log(0.25), ())
 
     @jax.jit
     def run(key, white, energy, gradient, log_step, m, args):
@@ -153,7 +154,7 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         return (key, *carry), chunk
 
     def advance(state, m, args, warming):
-        carry, chunk = run(*state[:5], m, args)
+        (key, white, energy, gradient), chunk = run(*state[:5], m, args)
         log_step, seen = state.log_step, state.log_steps
         if warming:
             rate = float(np.mean(chunk.accept))
@@ -161,6 +162,6 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
             seen = (*seen, float(log_step))
             if len(seen) == warmup // CHUNK:
                 log_step = jnp.asarray(np.mean(seen[len(seen) // 2 :]))
-        return _HmcState(*carry, log_step, seen), chunk
+        return _HmcState(key, white, energy, gradient, log_step, seen), chunk
 
     return Kernel(start, advance, lambda state: float(np.exp(state.log_step)))

@@ -124,8 +124,9 @@ def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
     missed = np.zeros(max(len(heard) - 1, 0), int)
     if toa.schedule.kind != "unknown" and len(first) > 1:
         steps = np.diff(first)
-        chance = signal.estimate_p_missed(steps, toa.schedule)
-        missed = signal.missed_counts(steps, toa.schedule, chance).most_probable
+        slack = _travel(toa)  # first arrivals stand for emissions: that much may differ
+        chance = signal.estimate_p_missed(steps, toa.schedule, slack=slack)
+        missed = signal.missed_counts(steps, toa.schedule, chance, slack=slack).most_probable
     for k in range(len(heard) - 1):
         n = int(known[k + 1] or missed[k])
         if n:
@@ -133,6 +134,12 @@ def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
     if known[-1]:
         gaps.append((len(heard) - 1, int(known[-1]), schedule))
     return gaps
+
+
+def _travel(toa: ArrivalTimes) -> float:
+    """Largest travel time between receivers that heard something (s)."""
+    xy = toa.receivers.xy[toa.heard.any(axis=0)]
+    return float(np.linalg.norm(np.ptp(xy, axis=0)) / np.mean(toa.sound_speed))
 
 
 def _times(rng, emission, k: int, n: int, schedule: Schedule, size: int) -> np.ndarray:
