@@ -1,0 +1,53 @@
+"""Benchmarks run: once each, small."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import polars as pl
+import pytest
+
+from benchmarks import gps, tracks
+
+
+def test_simulated_tracks_are_fitted_and_scored(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["tracks", "--simulate", "2"])
+    tracks.main()
+    said = capsys.readouterr().out
+    assert "2 files, 0 failed, 0 lost" in said
+    assert "sim001_na00_mp06" in said
+
+
+def test_a_folder_beside_a_peer(shared_dir, tmp_path, capsys, monkeypatch):
+    data = shared_dir / "data" / "sim_canal"
+    for name in ("receivers.csv", "track03_na00_mp06.csv"):
+        (tmp_path / name).write_bytes((data / name).read_bytes())
+    peer = str(data / "yaps_results.csv")
+    monkeypatch.setattr(sys, "argv", ["tracks", str(tmp_path), "--peer", peer])
+    tracks.main()
+    row = next(s for s in capsys.readouterr().out.splitlines() if s.startswith("track03"))
+    assert float(row.split()[-1]) < 0.92  # mean error / YAPS's
+
+
+def test_gps_scores_by_interpolation():
+    fixes = np.array([[0.0, 0.0, 10.0], [10.0, 0.0, 20.0]])
+    track = pl.DataFrame(
+        {
+            "t": [5.0, 15.0, 18.0],
+            "x": [0.0, 5.0, 8.0],
+            "y": [0.0, 3.0, 0.0],
+            "sd_x": [1.0] * 3,
+            "sd_y": [1.0] * 3,
+            "x_lo": [-2.0, 3.0, 6.0],
+            "x_hi": [2.0, 7.0, 10.0],
+            "y_lo": [-2.0, 1.0, -2.0],
+            "y_hi": [2.0, 5.0, 2.0],
+            "heard": [True, True, False],
+        }
+    )
+    scores = gps.errors(track, fixes, gps_sd=3.0)
+    assert scores["error"] == pytest.approx([3.0, 0.0])
+    assert list(scores["inside"]) == [0.5, 1.0]  # y misses by 3 m, beyond its 2 m limits
+    assert list(scores["inside_with_gps_sd"]) == [1.0, 1.0]
+    assert list(scores["heard"]) == [True, False]
