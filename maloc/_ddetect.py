@@ -156,7 +156,8 @@ class DDetect(ArrivalError):
         key_direct, key_late, key_path, key_wild, key_any = jax.random.split(key, 5)
         shape = self.shape(sample_shape)
         direct = self.sigma * jax.random.normal(key_direct, shape)
-        reflected = self._reflected().expand(self.batch_shape).sample(key_late, sample_shape)
+        half = jnp.broadcast_to(self.phi / 2, self.batch_shape)
+        reflected = GeneralizedNormal(half, half, self.beta).sample(key_late, sample_shape)
         error = jnp.where(jax.random.uniform(key_path, shape) < self.w, reflected, direct)
         if self.background:
             wild = (0.5 + _WILD_SCALE * jax.random.t(key_wild, 3.0, shape)) * self.phi

@@ -89,7 +89,8 @@ def test_brownian(case):
     mean, covariance = moments(track, k, times, {"sigma_step": 0.7})
     every = np.sort(np.concatenate([CLOCK, times]))
     moved = oracles.brownian_covariance(every, 0.7, 0.0)
-    joint = mpmath.matrix(moved.tolist()) + mpmath.mpf(10) ** 18  # an open start
+    with mpmath.workdps(50):
+        joint = mpmath.matrix(moved.tolist()) + mpmath.mpf(10) ** 18  # an open start
     at = list(np.searchsorted(every, CLOCK))
     rest = [i for i in range(len(every)) if i not in at]
     pick = [rest.index(int(np.searchsorted(every, t))) for t in times]
