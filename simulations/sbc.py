@@ -29,6 +29,7 @@ from scipy.stats import chi2
 
 import maloc.infer
 from maloc._jax import jax, jnp
+from maloc.data import ArrivalTimes, Receivers
 from maloc.data.model_data import ToaData
 from maloc.infer.result import SampledFit
 from maloc.models import toa_track
@@ -40,6 +41,7 @@ PRIORS = {
     "sigma": dist.LogNormal(np.log(2.0), 0.5),
     "sigma_vel": dist.LogNormal(np.log(0.3), 0.5),
     "t05": dist.LogNormal(np.log(260.0), 0.75),
+    "sigma_step": dist.LogNormal(0.0, 0.5),
 }
 
 
@@ -92,21 +94,13 @@ def design(pings: int = 24, step: float = 30.0, spread: float = 100.0) -> ToaDat
     """Eight receivers around a reach of river; every ping is heard by all of them."""
     x, y = np.meshgrid([-105.0, -38.0, 31.0, 110.0], [-62.0, 55.0])
     xy = np.column_stack([x.ravel(), y.ravel()]) + 7 * np.sin(np.arange(16.0)).reshape(8, 2)
-    return ToaData(
-        range=jnp.zeros((pings, 8)),
-        heard=jnp.ones((pings, 8), bool),
-        time=step * jnp.arange(pings),
-        dt=jnp.full(pings - 1, step),
-        speed=jnp.full(pings, 1500.0),
-        speed_sd=jnp.asarray(0.01),
-        receiver_xy=jnp.asarray(xy),
-        centre=jnp.zeros(2),
-        spread=jnp.asarray(spread),
-        phi=jnp.asarray(150.0),
-        n_intervals=jnp.zeros(pings - 1),
-        interval=jnp.full(2, jnp.nan),
-        valid=jnp.ones(pings, bool),
+    receivers = Receivers.from_frame(
+        {"receiver": [f"R{i}" for i in range(8)], "x": xy[:, 0], "y": xy[:, 1]}
     )
+    reference = np.broadcast_to(step * np.arange(pings)[:, None], (pings, 8))
+    data = ArrivalTimes(reference, receivers, sound_speed=np.asarray(1500.0)).to_model_data(False)
+    near = {"centre": jnp.zeros(2), "spread": jnp.asarray(spread), "phi": jnp.asarray(150.0)}
+    return dataclasses.replace(data, **near)
 
 
 def simulate(key, model: Callable, data: ToaData, **options) -> tuple[dict, ToaData]:

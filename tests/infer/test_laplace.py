@@ -203,8 +203,7 @@ class TestToaTrack:
         np.testing.assert_allclose(mean, wanted, atol=1e-4)
         np.testing.assert_allclose(covariance, wanted_covariance, rtol=1e-3, atol=1e-5)
         # the draws differ: their noise has another shape
-        ours, theirs = laplace_fit.p_direct(), plain.p_direct()
-        np.testing.assert_allclose(ours[:, : theirs.shape[1]], theirs, atol=0.05)
+        np.testing.assert_allclose(laplace_fit.p_direct(), plain.p_direct(), atol=0.05)
 
     def test_sites_are_cut_to_the_heard_pings(self, toa, laplace_fit):
         draws = laplace_fit.draws(7)
@@ -258,7 +257,7 @@ def test_models_of_a_user_s_own():
     counts = jnp.asarray([3.0, 0, 1, 4, 7, 5, 2, 0, 1])
     fit = maloc.infer.laplace(cases.counts, counts, path=("level",))
     assert fit.draws(10)["level"].shape == (1, 10, 9)
-    assert fit.pointwise(10)["count"].shape == (1, 10, 9)
+    assert fit.pointwise()["count"].shape == (1, 1000, 9)
 
 
 def test_no_parameters():

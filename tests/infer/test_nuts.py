@@ -140,6 +140,29 @@ def test_three_samplers_agree():
             assert np.abs((a.mean((0, 1)) - b.mean((0, 1))) / error).max() < LIMIT, (name, power)
 
 
+def test_a_model_of_a_user_s_own():
+    """Poisson counts of a random walk, nothing of maloc in it: the same answer as plain NumPyro."""
+    seen = jnp.asarray([3.0, 0, 1, 4, 7, 5, 2, 0, 1])
+    fit = maloc.infer.nuts(
+        jax.random.key(5), cases.counts, seen, path=("level",), draws=2000, progress=False
+    )
+    plain = MCMC(
+        NUTS(cases.counts, dense_mass=True, target_accept_prob=0.9),
+        num_warmup=800,
+        num_samples=2000,
+        num_chains=2,
+        chain_method="sequential",
+        progress_bar=False,
+    )
+    plain.run(jax.random.key(6), seen)
+    both = []
+    for draws in (fit.draws(), plain.get_samples(group_by_chain=True)):
+        rate = np.asarray(draws["start"])[..., None] + np.asarray(draws["level"])
+        both.append(np.concatenate([rate, np.log(draws["scale"])[..., None]], axis=-1))
+    error = np.hypot(*(standard_error(b) for b in both))
+    assert np.abs((both[0].mean((0, 1)) - both[1].mean((0, 1))) / error).max() < LIMIT
+
+
 # -- chains that are looked after: samplers whose draws are made up -------------------------------
 
 

@@ -50,7 +50,8 @@ def test_priors_are_swapped_and_the_rest_is_left():
     bare = handlers.trace(handlers.seed(toa_track, 0)).get_trace(data)
     swapped = handlers.trace(handlers.seed(model, 0)).get_trace(data)
     assert list(bare) == list(swapped)
-    for name, prior in sbc.PRIORS.items():
+    for name in ("sigma", "sigma_vel", "t05"):
+        prior = sbc.PRIORS[name]
         assert swapped[name]["fn"] is prior
         assert bare[name]["fn"] is not prior
     assert type(swapped["w"]["fn"]) is type(bare["w"]["fn"])
