@@ -65,7 +65,7 @@ def folder_cases(folder: Path, receivers: Path | None, interval, stable) -> Iter
     if stable:
         schedule = maloc.Schedule("stable", *stable)
     for path in sorted(folder.glob("*.csv")):
-        head = path.open().readline().strip().split(",")
+        head = path.read_text().split("\n", 1)[0].strip().split(",")
         if not {"x", "y"} <= set(head) or not any(c.startswith("toa_") for c in head):
             continue
         number = re.search(r"\d+", path.stem)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,49 +21,6 @@ if TYPE_CHECKING:
     from maloc.sync import ClockSync
 
 __all__ = ["Fitted", "fit_tag", "run_sync", "run_track"]
-
-
-class Remembered:
-    """A fit that works out draws, residuals and p_direct once; everything else is the fit's.
-
-    Residuals and p_direct have one column a receiver: those that pad the shape are left out.
-    """
-
-    def __init__(self, fit: Any, n_receivers: int) -> None:
-        self._fit, self._n, self._known = fit, n_receivers, {}
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._fit, name)
-
-    def _once(self, name: str, *args: Any) -> Any:
-        key = (name, *args)
-        if key not in self._known:
-            self._known[key] = getattr(self._fit, name)(*args)
-        return self._known[key]
-
-    def draws(self, n: int = 1000, seed: int = 0) -> dict[str, np.ndarray]:
-        """Draws of all sites, (chain, draw, ...)."""
-        return self._once("draws", n, seed)
-
-    def to_datatree(self) -> Any:
-        """Everything as a DataTree, whose posterior becomes what `draws` gives."""
-        from maloc.plots._source import posterior
-
-        tree = self._fit.to_datatree()
-        self._known.setdefault(("draws", 1000, 0), posterior(tree))
-        return tree
-
-    def residuals(self) -> np.ndarray:
-        """Residuals (T, R), s."""
-        return self._once("residuals")[:, : self._n]
-
-    def p_direct(self) -> np.ndarray:
-        """Probabilities of the direct path (T, R)."""
-        return self._once("p_direct")[:, : self._n]
-
-    def parameters(self) -> list[dict[str, Any]]:
-        """One row a parameter."""
-        return self._once("parameters")
 
 
 @dataclass(frozen=True)
@@ -113,7 +70,9 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
     }
     with log.stage("fit"):
         if options.method == "laplace":
-            fit = infer.laplace(models.toa_track, toa, **how)
+            fit = infer.laplace(
+                models.toa_track, toa, draws=options.draws, seed=options.seed, **how
+            )
         else:
             from maloc._jax import jax
 
@@ -132,9 +91,8 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
     for text in fit.warnings:
         log.warn(f"tag {toa.tag}: {text}" if toa.tag else text)
     with log.stage("tables"):
-        known = Remembered(fit, toa.n_receivers)
-        table = track_table(cast("Any", known), toa, options.seed)
-    return Fitted(toa, known, table, line)
+        table = track_table(fit, toa, options.seed)
+    return Fitted(toa, fit, table, line)
 
 
 def run_track(

@@ -17,7 +17,9 @@ from maloc.arrival import DDetect, Gaussian, Student
 from maloc.data.model_data import as_toa_data
 from maloc.movement import CTCRW, Brownian
 
-__all__ = ["toa_track"]
+__all__ = ["UNITS", "toa_track"]
+
+UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s", "interval_sd": "s"}
 
 
 def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):

@@ -58,6 +58,8 @@ class ToaData:
         MIN, MAX (random schedule) or MEAN, SD (stable).
     valid : (T,) bool
         False for padding.
+    present : (R,) bool
+        False for receivers that pad the shape.
     schedule : str
         "unknown", "random" or "stable".
     speed_known : bool
@@ -77,6 +79,7 @@ class ToaData:
     n_intervals: Float[Array, " step"]
     interval: Float[Array, 2]
     valid: Bool[Array, " ping"]
+    present: Bool[Array, " receiver"]
     schedule: str = "unknown"
     speed_known: bool = True
 
@@ -165,6 +168,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         n_intervals=jnp.asarray(np.append(n_intervals, np.zeros(more))),
         interval=jnp.asarray([schedule.lo, schedule.hi], float),
         valid=jnp.asarray(np.arange(pings) < n_pings),
+        present=jnp.asarray(np.arange(columns) < n_receivers),
         schedule=schedule.kind,
         speed_known=sd is None,
     )

@@ -7,6 +7,7 @@ ArviZ is not; tests compare the two.
 
 from __future__ import annotations
 
+import inspect
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -97,7 +98,7 @@ def ess_tail(draws: np.ndarray) -> np.ndarray:
 
 def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
     """Rows of parameters.csv."""
-    units = getattr(fit.cm.model, "units", {})
+    units = getattr(inspect.getmodule(fit.cm.model), "UNITS", {})
     draws = fit.draws()
     path = {s.name for s in fit.cm.chain}
     sampled = fit.method != "laplace"
@@ -124,7 +125,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
 def parameter_text(fit: Fit) -> str:
     """Parameters as aligned text."""
     lines = [f"{'':18}{'mean':>10}{'sd':>10}{'2.5 %':>10}{'97.5 %':>10}  unit"]
-    for row in parameter_rows(fit):
+    for row in fit.parameters():
         numbers = "".join(f"{row[c]:>10.4g}" for c in ("mean", "sd", "q2.5", "q97.5"))
         lines.append(f"{row['name']:18}{numbers}  {row['unit']}")
     return "\n".join(lines)

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 __all__ = ["to_datatree", "to_inference_data"]
 
 
-def _groups(fit: Fit, n: int = 1000) -> dict:
+def _groups(fit: Fit) -> dict:
     """InferenceData's groups as xarray Datasets."""
     import xarray as xr
 
     from maloc import __version__
 
-    draws = fit.draws(n)
+    draws = fit.draws()
     attrs = {"inference_library": "maloc", "inference_library_version": __version__}
     attrs |= {"method": fit.method, "model": fit.model_name}
     chain_path = {s.name for s in fit.cm.chain}
@@ -38,7 +38,7 @@ def _groups(fit: Fit, n: int = 1000) -> dict:
     shape = next(iter(draws.values())).shape[:2]
     coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
     groups = {"posterior": xr.Dataset(variables, coords, attrs)}
-    pointwise = fit.pointwise(n)
+    pointwise = fit.pointwise()
     groups["log_likelihood"] = xr.Dataset(
         {k: (("chain", "draw", "detection"), v) for k, v in pointwise.items()}, coords, attrs
     )
@@ -71,7 +71,10 @@ def _toa_groups(fit: Fit, data: ToaData, names: list[str]) -> dict:
     constant = {
         "detection_ping": (("detection",), rows),
         "detection_receiver": (("detection",), columns),
-        "receiver_xy": (("receiver", "axis"), np.asarray(data.receiver_xy)),
+        "receiver_xy": (
+            ("receiver", "axis"),
+            np.asarray(data.receiver_xy)[np.asarray(data.present)],
+        ),
         "first_arrival": (("ping",), np.asarray(data.time)[:n]),
         "sound_speed": (("ping",), np.asarray(data.speed)[:n]),
     }

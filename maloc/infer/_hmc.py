@@ -16,11 +16,11 @@ from maloc._jax import jax, jnp
 from maloc.infer._map import WhiteningMap, from_white, potential
 from maloc.infer._model import ChainModel
 
-__all__ = ["CHUNK", "Chunk", "kernels"]
+__all__ = ["CHUNK", "Chunk", "kernels", "off_resonance"]
 
 CHUNK = 50
 _LENGTH = 2.4  # trajectory length of jittered HMC: about a quarter turn and a half of N(0, I)
-_DEPTH = 8
+_DEPTH = 7
 
 
 class Chunk(NamedTuple):
@@ -85,9 +85,28 @@ def _nuts(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         return jax.lax.scan(one, state, length=CHUNK)
 
     def advance(state, m, args, warming):
-        return run(state, m, args)
+        state, chunk = run(state, m, args)
+        if warming and int(state.i) == warmup:
+            step_size = off_resonance(float(state.adapt_state.step_size))
+            adapted = state.adapt_state._replace(step_size=jnp.asarray(step_size))
+            state = state._replace(adapt_state=adapted)
+        return state, chunk
 
     return Kernel(start, advance, lambda state: float(state.adapt_state.step_size))
+
+
+def off_resonance(step_size: float) -> float:
+    """Step size at which no doubled trajectory ends just short of half a turn of N(0, I).
+
+    Where 2^j - 1 steps cover a little less than pi, the U-turn is missed, the next doubling comes
+    round to the start, and NUTS doubles on to its limit for nothing. Such a step is lengthened to
+    just beyond pi; acceptance falls by a few per cent.
+    """
+    for doublings in range(1, 8):
+        turn = (2**doublings - 1) * step_size / np.pi
+        if 0.85 < turn < 1.1:
+            return step_size * 1.1 / turn
+    return step_size
 
 
 class _HmcState(NamedTuple):

@@ -116,6 +116,8 @@ class ChainModel:
         self.cross = jax.jit(self._cross)
         self.natural = jax.jit(self._natural)
         self.pointwise = jax.jit(self._pointwise)
+        self.naturals = jax.jit(self._naturals)
+        self.likelihoods = jax.jit(self._likelihoods)
         self.prior_draws = jax.jit(self._prior_draws)
         self.unconstrain = jax.jit(self._unconstrain)
 
@@ -296,6 +298,26 @@ class ChainModel:
             if mask is not None:
                 out[name]["mask"] = mask
         return out
+
+    def _naturals(self, x, u, args):
+        """All sites of many draws: x (N, T, d), u (N, k)."""
+        return jax.lax.map(lambda draw: self._natural(draw[0], draw[1], args), (x, u))
+
+    def _likelihoods(self, x, u, args):
+        """Of many draws: log densities of the observed sites, and means of the rest."""
+
+        def one(total, draw):
+            parts = self._pointwise(draw[0], draw[1], args)
+            density = {name: part.pop("log_likelihood") for name, part in parts.items()}
+            return jax.tree.map(jnp.add, total, parts), density
+
+        shapes = jax.eval_shape(self._pointwise, x[0], u[0], args)
+        zero = {
+            name: {k: jnp.zeros(v.shape) for k, v in part.items() if k != "log_likelihood"}
+            for name, part in shapes.items()
+        }
+        total, density = jax.lax.scan(one, zero, (x, u))
+        return density, jax.tree.map(lambda v: v / x.shape[0], total)
 
 
 def _is_identity(transform) -> bool:

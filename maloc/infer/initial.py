@@ -45,6 +45,7 @@ def initial_values(
     u = cm.flat_globals(medians)
     x = np.zeros((length, cm.d))
     xy = np.broadcast_to(_middle(data), (length, 2)) if positions is None else positions
+    xy = np.concatenate([xy, np.repeat(xy[-1:], length - len(xy), axis=0)])
     _put_positions(cm, x, xy)
     emission = _column(cm, "emission")
     if emission is not None:

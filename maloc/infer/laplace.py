@@ -24,6 +24,8 @@ def laplace(
     *args,
     path: tuple[str, ...] | None = None,
     positions: np.ndarray | None = None,
+    draws: int = 1000,
+    seed: int = 0,
     **options,
 ) -> LaplaceFit:
     """Fit a chain-structured NumPyro model by the Laplace approximation.
@@ -40,6 +42,8 @@ def laplace(
         Names of the path sites.
     positions : (T, 2) array, optional
         Point positions (m) of the heard pings to start from.
+    draws, seed : int
+        Posterior draws that the fit's outputs are made of, and their seed.
     **options
         Static keyword arguments of the model.
 
@@ -81,7 +85,7 @@ def laplace(
         raise FitError("no finite mode of the path was found")
     if not fit.converged:
         warnings.append("the parameters' optimum was not reached: treat widths with care")
-    return LaplaceFit(cm, args, options, stages, tuple(warnings), fit)
+    return LaplaceFit(cm, args, options, stages, tuple(warnings), fit, draws, seed)
 
 
 def _start(cm: ChainModel, args: tuple, path, positions) -> tuple[np.ndarray, np.ndarray]:

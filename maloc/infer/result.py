@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc._jax import jax, jnp
+from maloc._jax import jnp
 from maloc.data.model_data import ToaData
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
@@ -38,6 +38,7 @@ class Fit:
     ) -> None:
         self.cm, self.args, self.options = cm, args, dict(options)
         self.seconds, self.warnings = seconds, warnings
+        self._known: dict = {}  # what was worked out already
 
     def __repr__(self) -> str:
         cpu = sum(s["cpu"] for s in self.seconds.values())
@@ -59,7 +60,9 @@ class Fit:
             return int(np.asarray(self.args[0].valid).sum())
         return self.cm.length(self.args)
 
-    def flat_draws(self, n: int = 1000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def flat_draws(
+        self, n: int | None = None, seed: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Flat draws: path (chain, draw, T, d) and unconstrained parameters (chain, draw, k)."""
         raise TypeError(f"{type(self).__name__} has no draws")
 
@@ -67,60 +70,59 @@ class Fit:
         """Posterior mean (T, d) and covariance (T, d, d) of each state, padding left out."""
         raise TypeError(f"{type(self).__name__} has no moments")
 
-    def draws(self, n: int = 1000, seed: int = 0) -> dict[str, np.ndarray]:
+    def draws(self, n: int | None = None, seed: int | None = None) -> dict[str, np.ndarray]:
         """Draws of all latent and deterministic sites in natural space, (chain, draw, ...).
 
         Parameters
         ----------
-        n : int
-            Draws from a Laplace fit; a sampled fit returns the draws it has.
-        seed : int
-            Seed of a Laplace fit's draws.
+        n, seed : int, optional
+            Draws from a Laplace fit and their seed, where they are not to be those of the fit's
+            other outputs; a sampled fit returns the draws it has.
         """
-        x, u = self.flat_draws(n, seed)
-        length = x.shape[2]
-        values = jax.lax.map(lambda xu: self.cm.natural(*xu, self.args), _flat_pair(x, u))
-        out = {}
-        for name, value in values.items():
-            value = np.asarray(value).reshape(*x.shape[:2], *value.shape[1:])
-            if value.ndim > 2 and value.shape[2] == length:
-                value = value[:, :, : self.n_states]
-            out[name] = value
-        return out
+        key = ("draws", n, seed)
+        if key not in self._known:
+            x, u = self.flat_draws(n, seed)
+            values = self.cm.naturals(*_flat_pair(x, u), self.args)
+            self._known[key] = {
+                name: self._unpadded(np.asarray(v).reshape(*x.shape[:2], *v.shape[1:]), x.shape[2])
+                for name, v in values.items()
+            }
+        return self._known[key]
 
-    def pointwise(self, n: int = 1000, seed: int = 0) -> dict[str, np.ndarray]:
+    def _unpadded(self, value: np.ndarray, length: int) -> np.ndarray:
+        if value.ndim > 2 and value.shape[2] == length:
+            return value[:, :, : self.n_states]
+        return value
+
+    def _arrivals(self) -> tuple[dict, dict]:
+        """Log likelihoods (chain, draw, values) of the observed sites, and means of the rest."""
+        if "arrivals" not in self._known:
+            x, u = self.flat_draws()
+            density, means = self.cm.likelihoods(*_flat_pair(x, u), self.args)
+            out = {}
+            for name, value in density.items():
+                if value.ndim == 1:
+                    continue  # factors are no data
+                value = np.asarray(value)
+                mask = means[name].get("mask")
+                if mask is None:
+                    value = value.reshape(len(value), -1)
+                else:
+                    value = value[:, np.broadcast_to(np.asarray(mask) > 0, value.shape[1:])]
+                out[name] = value.reshape(*x.shape[:2], -1)
+            self._known["arrivals"] = out, means
+        return self._known["arrivals"]
+
+    def pointwise(self) -> dict[str, np.ndarray]:
         """Log likelihood of each observed value that counts, site -> (chain, draw, values)."""
-        x, u = self.flat_draws(n, seed)
+        return self._arrivals()[0]
 
-        def one(xu):
-            parts = self.cm.pointwise(*xu, self.args)
-            return {k: v["log_likelihood"] for k, v in parts.items()}
-
-        values = jax.lax.map(one, _flat_pair(x, u), batch_size=50)
-        masks = self.cm.pointwise(x[0, 0], u[0, 0], self.args)
-        out = {}
-        for name, value in values.items():
-            value = np.asarray(value).reshape(*x.shape[:2], -1)
-            mask = masks[name].get("mask")
-            if mask is not None:
-                value = value[:, :, np.broadcast_to(np.asarray(mask), mask.shape).ravel()]
-            elif masks[name]["log_likelihood"].ndim == 0:
-                continue  # factors are no data
-            out[name] = value
-        return out
-
-    def _mean_part(self, part: str, n: int = 200, seed: int = 0) -> np.ndarray:
+    def _mean_part(self, part: str) -> np.ndarray:
         """Posterior mean of a part of the first observed site that has it, (T, R)."""
-        x, u = self.flat_draws(n, seed)
-        x, u = x[:, :: max(1, x.shape[1] // n)], u[:, :: max(1, u.shape[1] // n)]
-
-        def one(xu):
-            parts = self.cm.pointwise(*xu, self.args)
-            return next(v[part] for v in parts.values() if part in v)
-
-        mean = np.asarray(jax.lax.map(one, _flat_pair(x, u), batch_size=50)).mean(axis=0)
-        heard = np.asarray(self.args[0].heard)[: self.n_states]
-        return np.where(heard, mean[: self.n_states], np.nan)
+        mean = next(np.asarray(v[part]) for v in self._arrivals()[1].values() if part in v)
+        data = self.args[0]
+        mean = np.where(np.asarray(data.heard), mean, np.nan)
+        return mean[: self.n_states, np.asarray(data.present)]
 
     def p_direct(self) -> np.ndarray:
         """Posterior probability that each arrival is direct, (T, R); NaN where not heard."""
@@ -133,7 +135,9 @@ class Fit:
 
     def parameters(self) -> list[dict[str, Any]]:
         """One row a parameter: name, mean, sd, q2.5, q97.5, ess_bulk, ess_tail, r_hat, unit."""
-        return _diagnostics.parameter_rows(self)
+        if "parameters" not in self._known:
+            self._known["parameters"] = _diagnostics.parameter_rows(self)
+        return self._known["parameters"]
 
     def summary(self) -> str:
         """The parameters as a small text table."""
@@ -162,13 +166,18 @@ class LaplaceFit(Fit):
 
     method = "laplace"
 
-    def __init__(self, cm, args, options, seconds, warnings, marginal: MarginalFit) -> None:
+    def __init__(
+        self, cm, args, options, seconds, warnings, marginal: MarginalFit, n: int, seed: int
+    ) -> None:
         super().__init__(cm, args, options, seconds, warnings)
-        self.marginal = marginal
+        self.marginal, self.n, self.seed = marginal, n, seed
 
-    def flat_draws(self, n: int = 1000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def flat_draws(
+        self, n: int | None = None, seed: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Draws of parameters, then of the path given them, from the factor."""
         m = self.marginal
+        n, seed = self.n if n is None else n, self.seed if seed is None else seed
         rng = np.random.default_rng(seed)
         root = np.linalg.cholesky(m.covariance) if self.cm.k else np.zeros((0, 0))
         delta = rng.standard_normal((n, self.cm.k)) @ root.T
@@ -190,7 +199,9 @@ class SampledFit(Fit):
         super().__init__(cm, args, options, seconds, warnings)
         self.method, self.x, self.u, self.stats = method, x, u, stats
 
-    def flat_draws(self, n: int = 1000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def flat_draws(
+        self, n: int | None = None, seed: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """All draws."""
         return self.x, self.u
 

@@ -88,7 +88,7 @@ def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | N
     gaps = _gaps(toa)
     if not gaps:
         return None
-    draws = fit.draws(_DRAWS)
+    draws = fit.draws()
     track = draws["track"].reshape(-1, *draws["track"].shape[2:])
     keep = np.linspace(0, len(track) - 1, min(len(track), _DRAWS)).astype(int)
     track = track[keep]
