@@ -106,7 +106,7 @@ def check(
     if not found.ok:
         first = found.errors[0]
         more = f" (and {len(found.errors) - 1} more)" if len(found.errors) > 1 else ""
-        raise typer.Exit(_fail(f"{first}{more}", BAD_INPUT))
+        raise typer.Exit(_fail(f"{first}{more}".removeprefix("error: "), BAD_INPUT))
 
 
 @app.command()
