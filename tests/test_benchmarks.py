@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks import gps, tracks
+from benchmarks import engine, gps, tracks
 
 
 def test_simulated_tracks_are_fitted_and_scored(monkeypatch, capsys):
@@ -51,3 +51,11 @@ def test_gps_scores_by_interpolation():
     assert list(scores["inside"]) == [0.5, 1.0]  # y misses by 3 m, beyond its 2 m limits
     assert list(scores["inside_with_gps_sd"]) == [1.0, 1.0]
     assert list(scores["heard"]) == [True, False]
+
+
+@pytest.mark.slow
+def test_engine_against_plain_nuts(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["engine", "--pings", "12", "--draws", "40"])
+    engine.main()
+    rows = [s for s in capsys.readouterr().out.splitlines() if s.startswith("maloc ")]
+    assert len(rows) == 2 and all(s.endswith("x") for s in rows)
