@@ -118,7 +118,7 @@ def fit_case(case: Case, method: str, draws: int, seed: int) -> Row:
         float(np.median(error)),
         float(np.quantile(error, 0.95)),
         float(np.mean((low <= truth) & (truth <= high))),
-        float(spearmanr(np.hypot(*sd.T), error)[0]),
+        float(spearmanr(np.hypot(*sd.T), error).statistic),  # pyright: ignore
         float(np.mean(np.hypot(*sd.T))),
         fit.seconds["initial"]["cpu"] + fit.seconds["prepare"]["cpu"],
         fit.seconds["parameters"]["cpu"],

@@ -35,11 +35,16 @@ class Chunk(NamedTuple):
 
 
 class Kernel(NamedTuple):
-    """``start(key, m, args) -> state`` and ``advance(state, m, args, warming) -> state, Chunk``."""
+    """What moves a chain.
+
+    ``start(key, m, args) -> state``; ``advance(state, m, args, warming) -> state, Chunk``;
+    ``settle(state, factor) -> state, step size``: after warm-up, hold ``factor`` times the step
+    that it found.
+    """
 
     start: Callable
     advance: Callable
-    step_size: Callable
+    settle: Callable
 
 
 def kernels(cm: ChainModel, method: str, warmup: int, target_accept: float) -> Kernel:
@@ -85,14 +90,14 @@ def _nuts(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         return jax.lax.scan(one, state, length=CHUNK)
 
     def advance(state, m, args, warming):
-        state, chunk = run(state, m, args)
-        if warming and int(state.i) == warmup:
-            step_size = off_resonance(float(state.adapt_state.step_size))
-            adapted = state.adapt_state._replace(step_size=jnp.asarray(step_size))
-            state = state._replace(adapt_state=adapted)
-        return state, chunk
+        return run(state, m, args)
 
-    return Kernel(start, advance, lambda state: float(state.adapt_state.step_size))
+    def settle(state, factor):
+        step_size = off_resonance(factor * float(state.adapt_state.step_size))
+        adapted = state.adapt_state._replace(step_size=jnp.asarray(step_size))
+        return state._replace(adapt_state=adapted), step_size
+
+    return Kernel(start, advance, settle)
 
 
 def off_resonance(step_size: float) -> float:
@@ -183,4 +188,8 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
                 log_step = jnp.asarray(np.mean(seen[len(seen) // 2 :]))
         return _HmcState(key, white, energy, gradient, log_step, seen), chunk
 
-    return Kernel(start, advance, lambda state: float(np.exp(state.log_step)))
+    def settle(state, factor):
+        log_step = state.log_step + np.log(factor)
+        return state._replace(log_step=log_step), float(np.exp(log_step))
+
+    return Kernel(start, advance, settle)

@@ -110,7 +110,6 @@ class ChainModel:
                 else f"path sites differ in length: {sorted(lengths)}"
             )
         self.d, self.k = start, place
-        self.value = jax.jit(self._value)
         self.terms = jax.jit(self._robust_terms)
         self.exact = jax.jit(self._exact_terms)
         self.cross = jax.jit(self._cross)
@@ -168,10 +167,13 @@ class ChainModel:
         return [s.transform._inverse(values[s.name]) for s in self.globals]
 
     def _prior_draws(self, keys, args: tuple) -> dict:
-        """Parameter sites drawn from the prior, a draw a key."""
+        """Parameter sites drawn from the prior, a draw a key; the path stands still at 0."""
+        length = self.length(args)
+        still = {s.name: jnp.zeros((length, *s.tail)) for s in self.chain}
 
         def draw(key):
             model = handlers.seed(self.model, rng_seed=key)
+            model = handlers.substitute(model, data=still)
             trace = handlers.trace(model).get_trace(*args, **self.options)
             return {s.name: trace[s.name]["value"] for s in self.globals}
 

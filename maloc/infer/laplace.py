@@ -13,7 +13,7 @@ from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._stages import Stages
 from maloc.infer.initial import initial_values, repair, stable_interval
-from maloc.infer.marginal import maximise_marginal
+from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.result import LaplaceFit
 
 __all__ = ["laplace"]
@@ -67,25 +67,39 @@ def laplace(
     with stages.time("prepare"):
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
-    with stages.time("initial"):
-        x, u = _start(cm, args, path, positions)
-        if not np.isfinite(float(cm.value(x, u, args, 0.0))):
-            raise FitError("the joint density is not finite at the initial values")
-    with stages.time("parameters"):
-        fit = maximise_marginal(cm, args, x, u)
-    for _ in range(3):
-        with stages.time("initial"):
-            x = repair(cm, args, fit.x, fit.u)
-        if float(cm.value(x, fit.u, args, 0.0)) > float(cm.value(fit.x, fit.u, args, 0.0)) - 0.1:
-            break
-        with stages.time("parameters"):
-            fit = maximise_marginal(cm, args, x, fit.u)
+    try:
+        fit = _fit(cm, args, path, positions, stages)
+    except np.linalg.LinAlgError as error:
+        raise FitError(f"the path's precision cannot be factored: {error}") from error
     warnings: list[str] = []
     if not np.isfinite(fit.value):
         raise FitError("no finite mode of the path was found")
     if not fit.converged:
         warnings.append("the parameters' optimum was not reached: treat widths with care")
     return LaplaceFit(cm, args, options, stages, tuple(warnings), fit, draws, seed)
+
+
+def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> MarginalFit:
+    """Start, fit, and fit again as long as single pings find a better explanation."""
+    with stages.time("initial"):
+        x, u = _start(cm, args, path, positions)
+        if not np.isfinite(_value(cm, x, u, args)):
+            raise FitError("the joint density is not finite at the initial values")
+    with stages.time("parameters"):
+        fit = maximise_marginal(cm, args, x, u)
+    for _ in range(3):
+        with stages.time("initial"):
+            x = repair(cm, args, fit.x, fit.u)
+        if _value(cm, x, fit.u, args) > _value(cm, fit.x, fit.u, args) - 0.1:
+            break
+        with stages.time("parameters"):
+            fit = maximise_marginal(cm, args, x, fit.u)
+    return fit
+
+
+def _value(cm: ChainModel, x, u, args: tuple) -> float:
+    """Negative log joint; from the function that is compiled anyway."""
+    return float(cm.exact(x, u, args, 0.0)[0])
 
 
 def _start(cm: ChainModel, args: tuple, path, positions) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ from maloc.infer.result import LaplaceFit, SampledFit
 __all__ = ["nuts"]
 
 _RETRIES = 2
+_SHRINK = 0.6  # of the step size at each retry: what diverged may pass with shorter steps
 
 
 def nuts(
@@ -97,15 +98,17 @@ def nuts(
     sizes: list[float] = []
     warnings: list[str] = list(start.warnings)
     keys = iter(jax.random.split(key, chains * (1 + _RETRIES)))
-    retries = _RETRIES * (chains - 1)
+    retries, factor = _RETRIES * (chains - 1), 1.0
     try:
         with stages.time("sampling"):
             while len(runs) < chains:
-                run, size = _run_chain(next(keys), kernel, mapping, data, warm, chunks, bar)
+                run, size = _run_chain(next(keys), kernel, mapping, data, warm, chunks, factor, bar)
                 why = _unhealthy(run)
                 if why and retries:
-                    retries -= 1
-                    warnings.append(f"a chain was run again from another start: {why}")
+                    retries, factor = retries - 1, factor * _SHRINK
+                    warnings.append(
+                        f"a chain was run again from another start, with shorter steps: {why}"
+                    )
                     bar.total += (warm + chunks) * CHUNK
                     continue
                 if why:
@@ -138,19 +141,24 @@ def _bar(total: int, show: bool, label: str):
     return tqdm(total=total, disable=not show, desc=label, unit="draw", leave=False)
 
 
-def _run_chain(key, kernel: Kernel, mapping, data, warm: int, chunks: int, bar):
-    """One chain: its chunks after warm-up, and its step size."""
+def _run_chain(
+    key, kernel: Kernel, mapping, data, warm: int, chunks: int, factor: float, bar
+) -> tuple[list[Chunk], float]:
+    """One chain: its chunks after warm-up, and its step size (``factor`` x the adapted one)."""
     run: list[Chunk] = []
+    size = float("nan")
     try:
         state = kernel.start(key, mapping, data)
         for i in range(warm + chunks):
+            if i == warm:
+                state, size = kernel.settle(state, factor)
             state, chunk = kernel.advance(state, mapping, data, i < warm)
             if i >= warm:
                 run.append(Chunk(*(np.asarray(part) for part in chunk)))
             bar.update(CHUNK)
     except KeyboardInterrupt:
         raise _Interrupted(run) from None
-    return run, kernel.step_size(state)
+    return run, size
 
 
 def _unhealthy(run: list[Chunk]) -> str:
@@ -180,13 +188,18 @@ def _stack(runs: list[list[Chunk]]):
     return parts[0], parts[1], stats
 
 
+def _settled(values: np.ndarray) -> np.ndarray:
+    """R-hat with infinity where a coordinate stood still (0 / 0)."""
+    return np.nan_to_num(values, nan=np.inf)
+
+
 def _convergence(fit: SampledFit) -> list[str]:
     """Sentences on what has not converged."""
     said = []
-    worst_u = np.max(r_hat(fit.u), initial=0.0)
+    worst_u = np.max(_settled(r_hat(fit.u)), initial=0.0)
     if worst_u > 1.05:
         said.append(f"parameters have not converged: R-hat up to {worst_u:.2f}; draw more")
-    states = r_hat(fit.x[:, :, : fit.n_states])
+    states = _settled(r_hat(fit.x[:, :, : fit.n_states]))
     bad = (states > 1.05).any(axis=tuple(range(1, states.ndim)))
     if bad.any():
         said.append(

@@ -13,6 +13,7 @@ import numpy as np
 
 from maloc import signal
 from maloc.data.arrivals import ArrivalTimes, Schedule
+from maloc.errors import FitError
 from maloc.infer._bridge import bridge
 from maloc.infer.result import Fit
 
@@ -116,6 +117,8 @@ def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
     if schedule.kind == "unknown":
         alone = np.diff(heard) == 1
         steps = np.diff(first)[alone] if alone.any() else np.diff(first) / np.diff(heard)
+        if len(steps) == 0 and known.any():
+            raise FitError("one heard ping and no burst interval: when were the others sent?")
         if len(steps) == 0:
             return []
         spread = max(float(np.std(steps)), 1e-3)

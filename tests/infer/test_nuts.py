@@ -14,7 +14,7 @@ import maloc.infer
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
 from maloc.infer._diagnostics import ess_bulk
-from maloc.infer._hmc import CHUNK, Chunk, Kernel
+from maloc.infer._hmc import CHUNK, Chunk, Kernel, off_resonance
 from maloc.infer._map import from_white, make_map, potential
 from maloc.infer.result import SampledFit
 from maloc.models import toa_track
@@ -214,7 +214,7 @@ def play(monkeypatch, fixes_fit):
                 raise KeyboardInterrupt
             return state, made_chunk(rng, fixes_fit.marginal.x, **state)
 
-        fake = Kernel(start, advance, lambda state: 0.25)
+        fake = Kernel(start, advance, lambda state, factor: (state, 0.25 * factor))
         monkeypatch.setattr(nuts_module, "kernels", lambda *args: fake)
         settings = {"draws": 200, "warmup": 50, "progress": False} | settings
         fit = maloc.infer.nuts(jax.random.key(0), fixes_fit, **settings)
@@ -238,6 +238,7 @@ class TestCare:
         assert started == 3
         assert len(fit.warnings) == 1
         assert "run again" in fit.warnings[0]
+        assert fit.stats["step_size"] == pytest.approx([0.25, 0.15])  # shorter steps at a retry
         assert not fit.stats["diverging"].any()
         assert np.isfinite(fit.stats["potential"]).all()
 
@@ -246,6 +247,13 @@ class TestCare:
         assert started == 4  # two chains, two more starts
         assert sum("not to be trusted" in text for text in fit.warnings) == 2
         assert fit.stats["diverging"].sum() == 2 * 4 * 3
+
+    def test_a_coordinate_that_stands_still_has_not_converged(self, fixes_fit):
+        rng = np.random.default_rng(0)
+        u, x = rng.normal(size=(2, 400, 2)), rng.normal(size=(2, 400, 14, 2))
+        u[..., 1] = 0.5
+        fit = SampledFit(fixes_fit.cm, fixes_fit.args, {}, fixes_fit.seconds, (), "nuts", x, u, {})
+        assert "parameters have not converged" in nuts_module._convergence(fit)[0]
 
     def test_chains_at_different_places(self, play):
         fit, _ = play([{}, {"shift": 6.0}])
@@ -290,3 +298,12 @@ class TestCare:
         seen = capsys.readouterr()
         assert "nuts" in seen.err
         assert seen.out == ""
+
+
+def test_steps_are_kept_off_resonance():
+    """No trajectory of 2^j - 1 steps covers from .85 to 1.1 of half a turn."""
+    for step in np.geomspace(0.03, 1.5, 400):
+        held = off_resonance(step)
+        assert step <= held < 1.31 * step
+        turns = (2.0 ** np.arange(1, 8) - 1) * held / np.pi
+        assert not ((turns > 0.85) & (turns < 1.0999)).any()
