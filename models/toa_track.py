@@ -21,6 +21,8 @@ __all__ = ["UNITS", "toa_track"]
 
 UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s", "interval_sd": "s"}
 
+_OPTIONS = ("ctcrw", "rw"), ("ddetect", "gaussian", "student"), ("auto", "given", "estimated")
+
 
 def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     """Joint density of track, emission times and parameters given arrival times.
@@ -37,12 +39,20 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
         Estimated: one factor on the given speed, its prior sd what the data say of it, else 1 %.
         Auto: estimated where the data say that the speed is not sure.
 
+    Raises
+    ------
+    ValueError
+        If an option is none of these.
+
     Notes
     -----
     Sites: ``track`` (T, 2, 2) m and m/s, or (T, 2) m; ``emission`` (T,) m: c (emission time -
     first arrival), so minus the distance to the first receiver where that arrival is direct.
     ``sigma`` (m) is the direct arrivals' error in time, times c.
     """
+    for option, known in zip((movement, error, sound_speed), _OPTIONS, strict=True):
+        if option not in known:
+            raise ValueError(f"{option!r} is none of {', '.join(known)}")
     data = as_toa_data(toa)
     if movement == "ctcrw":
         sigma_vel = numpyro.sample("sigma_vel", dist.LogNormal(jnp.log(0.3), 1.0))

@@ -94,6 +94,12 @@ def test_every_combination_traces(options, schedule):
     assert shapes == expected
 
 
+@pytest.mark.parametrize("wrong", [{"movement": "walk"}, {"error": "t"}, {"sound_speed": "1500"}])
+def test_unknown_options_are_refused(wrong):
+    with pytest.raises(ValueError, match="is none of"):
+        handlers.trace(handlers.seed(toa_track, 0)).get_trace(data("unknown"), **wrong)
+
+
 def test_auto_sound_speed_follows_the_data():
     for sure in (True, False):
         trace = handlers.trace(handlers.seed(toa_track, 0)).get_trace(data(sure=sure))
