@@ -54,7 +54,7 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
     """
     with log.stage("engine start"):  # JAX is imported here, and nowhere before
         from maloc import infer, models
-        from maloc.infer.track import track_table
+        from maloc.infer.track import gaps_outside, track_table
 
     heard = np.unique(toa.receivers.receiver[toa.heard.any(0)])
     line = mirror_line(receivers, np.isin(receivers.receiver, heard))
@@ -92,6 +92,11 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
         log.warn(f"tag {toa.tag}: {text}" if toa.tag else text)
     with log.stage("tables"):
         table = track_table(fit, toa, options.seed)
+        if outside := gaps_outside(toa):
+            log.warn(
+                f"tag {toa.tag or '(no name)'}: {outside} gaps between heard pings fit no number "
+                f"of burst intervals of {toa.schedule}: check the interval"
+            )
     return Fitted(toa, fit, table, line)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +59,7 @@ def engine(monkeypatch):
 
     monkeypatch.setattr(infer, "laplace", laplace, raising=False)
     monkeypatch.setattr(infer, "nuts", nuts, raising=False)
-    module = types.ModuleType("maloc.infer.track")
-    module.track_table = fake_table  # pyright: ignore[reportAttributeAccessIssue]
-    monkeypatch.setitem(sys.modules, "maloc.infer.track", module)
+    monkeypatch.setattr(infer.track, "track_table", fake_table)
     return calls
 
 

@@ -66,6 +66,12 @@ class Schedule:
         if self.kind == "random" and hi < lo:
             raise InputError(f"burst interval's MAX {hi:g} s is below its MIN {lo:g} s")
 
+    def __str__(self) -> str:
+        stable = f"{self.lo:g} s with sd {self.hi:g} s"
+        return {"random": f"{self.lo:g} to {self.hi:g} s", "stable": stable}.get(
+            self.kind, self.kind
+        )
+
     @property
     def shortest(self) -> float:
         """Shortest interval between emissions that is possible, s; NaN when unknown."""

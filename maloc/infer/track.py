@@ -20,7 +20,7 @@ from maloc.infer.result import Fit
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["track_table"]
+__all__ = ["gaps_outside", "track_table"]
 
 _Z95 = 1.959963984540054
 _DRAWS = 1000
@@ -126,10 +126,7 @@ def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
     gaps = [(-1, int(known[0]), schedule)] if known[0] else []
     missed = np.zeros(max(len(heard) - 1, 0), int)
     if toa.schedule.kind != "unknown" and len(first) > 1:
-        steps = np.diff(first)
-        slack = _travel(toa)  # first arrivals stand for emissions: that much may differ
-        chance = signal.estimate_p_missed(steps, toa.schedule, slack=slack)
-        missed = signal.missed_counts(steps, toa.schedule, chance, slack=slack).most_probable
+        missed = _missed(toa).most_probable
     for k in range(len(heard) - 1):
         n = int(known[k + 1] or missed[k])
         if n:
@@ -137,6 +134,21 @@ def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
     if known[-1]:
         gaps.append((len(heard) - 1, int(known[-1]), schedule))
     return gaps
+
+
+def gaps_outside(toa: ArrivalTimes) -> int:
+    """Gaps between heard pings that no number of the schedule's intervals explains."""
+    if toa.schedule.kind == "unknown" or (toa.n_heard > 0).sum() < 2:
+        return 0
+    return int(_missed(toa).outside.sum())
+
+
+def _missed(toa: ArrivalTimes) -> signal.MissedCounts:
+    """Missed pings in the gaps between heard ones."""
+    steps = np.diff(toa.first[toa.n_heard > 0])
+    slack = _travel(toa)  # first arrivals stand for emissions: that much may differ
+    chance = signal.estimate_p_missed(steps, toa.schedule, slack=slack)
+    return signal.missed_counts(steps, toa.schedule, chance, slack=slack)
 
 
 def _travel(toa: ArrivalTimes) -> float:

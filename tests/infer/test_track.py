@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import maloc.infer
-from maloc.data import Schedule
-from maloc.infer.track import track_table
+from maloc.data import ArrivalTimes, Receivers, Schedule
+from maloc.infer.track import gaps_outside, track_table
 from maloc.models import toa_track
 from tests.infer import cases
 
@@ -129,3 +129,14 @@ class TestUnheard:
         assert len(table) == 14
         assert in_order(table)
         assert not table["heard"][6]
+
+
+def test_gaps_that_no_interval_explains_are_counted():
+    receivers = Receivers(np.array(["a", "b", "c"]), np.array([0.0, 90, 0]), np.array([0.0, 0, 90]))
+    first = np.cumsum([0.0, 5.4, 30, 61, 17, 119.9])  # 5.4 and 17 s are below the shortest
+    times = ArrivalTimes(
+        first[:, None] + np.array([0.0, 0.01, 0.02]), receivers, np.full(6, 1500.0)
+    )
+    assert gaps_outside(times) == 0
+    assert gaps_outside(times.replace(schedule=Schedule("random", 20, 40))) == 2
+    assert str(Schedule("random", 20, 40)) == "20 to 40 s"
