@@ -56,10 +56,11 @@ def engine(monkeypatch):
         return fake_of(toa, method)
 
     from maloc import infer
+    from maloc.infer import track
 
     monkeypatch.setattr(infer, "laplace", laplace, raising=False)
     monkeypatch.setattr(infer, "nuts", nuts, raising=False)
-    monkeypatch.setattr(infer.track, "track_table", fake_table)
+    monkeypatch.setattr(track, "track_table", fake_table)
     return calls
 
 
@@ -207,6 +208,7 @@ def test_quiet_says_nothing(tmp_path, engine):
 
 def test_a_failed_fit_is_explained_and_leaves_nothing(tmp_path, engine, monkeypatch):
     from maloc import infer
+    from maloc.infer import track
 
     def laplace(*args, **how):
         raise FitError("the mode was not found")
