@@ -208,7 +208,6 @@ def test_quiet_says_nothing(tmp_path, engine):
 
 def test_a_failed_fit_is_explained_and_leaves_nothing(tmp_path, engine, monkeypatch):
     from maloc import infer
-    from maloc.infer import track
 
     def laplace(*args, **how):
         raise FitError("the mode was not found")
