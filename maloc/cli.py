@@ -275,4 +275,7 @@ def main() -> None:
     # tracing a model makes millions of short-lived objects; looking at them less often saves a
     # tenth of the time of a short run
     gc.set_threshold(100_000, 20, 20)
-    app(prog_name="maloc")
+    try:
+        app(prog_name="maloc")
+    finally:
+        gc.freeze()  # the interpreter's last look at them would take half a second

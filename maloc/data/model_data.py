@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from maloc._jax import jax, jnp
+from maloc._jax import jax
 
 if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes
+
+Numbers = Array | np.ndarray
 
 __all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
 
@@ -66,20 +68,20 @@ class ToaData:
         False where the sound speed has an error that all pings share.
     """
 
-    range: Float[Array, "ping receiver"]
-    heard: Bool[Array, "ping receiver"]
-    time: Float[Array, " ping"]
-    dt: Float[Array, " step"]
-    speed: Float[Array, " ping"]
-    speed_sd: Float[Array, ""]
-    receiver_xy: Float[Array, "receiver 2"]
-    centre: Float[Array, 2]
-    spread: Float[Array, ""]
-    phi: Float[Array, ""]
-    n_intervals: Float[Array, " step"]
-    interval: Float[Array, 2]
-    valid: Bool[Array, " ping"]
-    present: Bool[Array, " receiver"]
+    range: Float[Numbers, "ping receiver"]
+    heard: Bool[Numbers, "ping receiver"]
+    time: Float[Numbers, " ping"]
+    dt: Float[Numbers, " step"]
+    speed: Float[Numbers, " ping"]
+    speed_sd: Float[Numbers, ""]
+    receiver_xy: Float[Numbers, "receiver 2"]
+    centre: Float[Numbers, 2]
+    spread: Float[Numbers, ""]
+    phi: Float[Numbers, ""]
+    n_intervals: Float[Numbers, " step"]
+    interval: Float[Numbers, 2]
+    valid: Bool[Numbers, " ping"]
+    present: Bool[Numbers, " receiver"]
     schedule: str = "unknown"
     speed_known: bool = True
 
@@ -154,24 +156,25 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
     steps = np.maximum(np.diff(first), _MIN_STEP)
     step = float(np.median(steps)) if n_pings > 1 else 60.0
     rows_and_columns = ((0, more), (0, wider))
-    return ToaData(
-        range=jnp.asarray(np.pad(ranges, rows_and_columns)),
-        heard=jnp.asarray(np.pad(heard, rows_and_columns)),
-        time=jnp.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
-        dt=jnp.asarray(np.append(steps, np.full(more, step))),
-        speed=jnp.asarray(np.append(speed, np.full(more, speed[-1]))),
-        speed_sd=jnp.asarray(_SPEED_SD if sd is None else sd / float(speed.mean())),
-        receiver_xy=jnp.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
-        centre=jnp.asarray(centre),
-        spread=jnp.asarray(max(1000.0, 2 * diameter)),
-        phi=jnp.asarray(max(diameter, _MIN_LATENESS * float(speed.mean()))),
-        n_intervals=jnp.asarray(np.append(n_intervals, np.zeros(more))),
-        interval=jnp.asarray([schedule.lo, schedule.hi], float),
-        valid=jnp.asarray(np.arange(pings) < n_pings),
-        present=jnp.asarray(np.arange(columns) < n_receivers),
+    data = ToaData(
+        range=np.asarray(np.pad(ranges, rows_and_columns)),
+        heard=np.asarray(np.pad(heard, rows_and_columns)),
+        time=np.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
+        dt=np.asarray(np.append(steps, np.full(more, step))),
+        speed=np.asarray(np.append(speed, np.full(more, speed[-1]))),
+        speed_sd=np.asarray(_SPEED_SD if sd is None else sd / float(speed.mean())),
+        receiver_xy=np.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
+        centre=np.asarray(centre),
+        spread=np.asarray(max(1000.0, 2 * diameter)),
+        phi=np.asarray(max(diameter, _MIN_LATENESS * float(speed.mean()))),
+        n_intervals=np.asarray(np.append(n_intervals, np.zeros(more))),
+        interval=np.asarray([schedule.lo, schedule.hi], float),
+        valid=np.asarray(np.arange(pings) < n_pings),
+        present=np.asarray(np.arange(columns) < n_receivers),
         schedule=schedule.kind,
         speed_known=sd is None,
     )
+    return jax.device_put(data)  # at once: one by one, each would compile a copy
 
 
 def as_toa_data(toa: ArrivalTimes | ToaData) -> ToaData:

@@ -78,6 +78,7 @@ class ChainModel:
 
     def __init__(self, model: Callable, options: dict, args: tuple, path: tuple | None) -> None:
         self.model, self.options = model, options
+        self._lengths: dict[tuple, int] = {}
         trace = self._abstract(args)
         self.chain: list[ChainSite] = []
         self.globals: list[GlobalSite] = []
@@ -103,6 +104,8 @@ class ChainModel:
                 size = int(np.prod(flat))
                 self.globals.append(GlobalSite(name, flat, transform, slice(place, place + size)))
                 place += size
+        shapes = tuple(np.shape(leaf) for leaf in jax.tree_util.tree_leaves(args))
+        self._lengths[shapes] = max(lengths, default=0)
         if len(lengths) != 1:
             raise FitError(
                 "the model has no path site (mark it with infer={'is_chain': True} or path=)"
@@ -114,10 +117,11 @@ class ChainModel:
         self.exact = jax.jit(self._exact_terms)
         self.cross = jax.jit(self._cross)
         self.natural = jax.jit(self._natural)
+        self.values = jax.jit(lambda x, u: self.sites(x, u)[0])
         self.pointwise = jax.jit(self._pointwise)
         self.naturals = jax.jit(self._naturals)
         self.likelihoods = jax.jit(self._likelihoods)
-        self.prior_draws = jax.jit(self._prior_draws)
+        self.prior_medians = jax.jit(self._medians)
         self.unconstrain = jax.jit(self._unconstrain)
 
     def _trace(self, values: dict, args: tuple):
@@ -138,7 +142,11 @@ class ChainModel:
 
     def length(self, args: tuple) -> int:
         """Number of states T for these arguments."""
-        return jnp.shape(self._abstract(args)[self.chain[0].name]["value"])[0]
+        shapes = tuple(np.shape(leaf) for leaf in jax.tree_util.tree_leaves(args))
+        if shapes not in self._lengths:
+            site = self._abstract(args)[self.chain[0].name]
+            self._lengths[shapes] = jnp.shape(site["value"])[0]
+        return self._lengths[shapes]
 
     # -- flat <-> sites ---------------------------------------------------------------------
 
@@ -166,23 +174,11 @@ class ChainModel:
     def _unconstrain(self, values: dict) -> list:
         return [s.transform._inverse(values[s.name]) for s in self.globals]
 
-    def _prior_draws(self, keys, args: tuple) -> dict:
-        """Parameter sites drawn from the prior, a draw a key; the path stands still at 0."""
-        length = self.length(args)
-        still = {s.name: jnp.zeros((length, *s.tail)) for s in self.chain}
-
-        def draw(key):
-            model = handlers.seed(self.model, rng_seed=key)
-            model = handlers.substitute(model, data=still)
-            trace = handlers.trace(model).get_trace(*args, **self.options)
-            return {s.name: trace[s.name]["value"] for s in self.globals}
-
-        return jax.vmap(draw)(keys)
-
-    def prior_medians(self, args: tuple, draws: int = 15) -> dict:
-        """Median of a few prior draws of each parameter site."""
-        keys = jax.random.split(jax.random.key(0), draws)
-        return {k: np.median(v, axis=0) for k, v in self.prior_draws(keys, args).items()}
+    def _medians(self, args: tuple) -> dict:
+        """Prior median of each parameter site, the others at a draw; the path stands still at 0."""
+        still = {s.name: jnp.zeros((self.length(args), *s.tail)) for s in self.chain}
+        trace = self._trace(still, args)
+        return {s.name: _median(trace[s.name]["fn"]) for s in self.globals}
 
     # -- densities ----------------------------------------------------------------------------
 
@@ -238,10 +234,9 @@ class ChainModel:
 
     # -- derivatives ----------------------------------------------------------------------------
 
-    def _band(self, gradient, x):
-        """Hessian of ``gradient``'s function at x as a lower band matrix (2 d, T d)."""
-        length, d = x.shape
-        _, push = jax.linearize(gradient, x)
+    def _band(self, push, shape):
+        """Hessian from its products with vectors (T, d), as a lower band matrix (2 d, T d)."""
+        length, d = shape
         probes = np.zeros((3, d, length, d))
         for colour in range(3):
             for j in range(d):
@@ -260,13 +255,13 @@ class ChainModel:
     def _robust_terms(self, x, u, args, temper, robust):
         value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
         slope = jax.grad(self._surrogate)
-        band = self._band(lambda m: slope(m, x, u, args, temper, robust), x)
-        return value, gradient, band
+        _, push = jax.linearize(lambda m: slope(m, x, u, args, temper, robust), x)
+        return value, gradient, self._band(push, x.shape)
 
     def _exact_terms(self, x, u, args, temper):
-        slope = jax.grad(self._value)
-        value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
-        return value, gradient, self._band(lambda m: slope(m, u, args, temper), x)
+        both = jax.value_and_grad(self._value)
+        (value, gradient), push = jax.linearize(lambda m: both(m, u, args, temper), x)
+        return value, gradient, self._band(lambda v: push(v)[1], x.shape)
 
     def _cross(self, x, u, args):
         """Mixed derivative d2 / du dx (k, T, d) of the negative log joint."""
@@ -320,6 +315,14 @@ class ChainModel:
         }
         total, density = jax.lax.scan(one, zero, (x, u))
         return density, jax.tree.map(lambda v: v / x.shape[0], total)
+
+
+def _median(fn):
+    """Median of a distribution: by its quantile function, else of some draws."""
+    try:
+        return fn.icdf(jnp.full(fn.shape(), 0.5))
+    except (RuntimeError, ImportError, AttributeError, TypeError):
+        return jnp.median(fn.sample(jax.random.key(0), (101,)), axis=0)
 
 
 def _is_identity(transform) -> bool:

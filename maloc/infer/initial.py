@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maloc._jax import jax, jnp
+from maloc._jax import jax
 from maloc.arrival import DDetect
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
@@ -84,7 +84,7 @@ def repair(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, rounds: in
         return x
     value = find_mode(cm, args, x, u, max_steps=15, tol=1e-3)
     for _ in range(rounds):
-        trial, moved = _reassign(cm, args[0], value.x, cm.sites(jnp.asarray(x), jnp.asarray(u))[0])
+        trial, moved = _reassign(cm, args[0], value.x, cm.values(x, u))
         if not moved:
             break
         trial = find_mode(cm, args, trial, u, method="robust", max_steps=4, tol=1e-2).x
@@ -127,7 +127,7 @@ def _nearest(data: ToaData, xy: np.ndarray) -> np.ndarray:
 def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Parameters the models of this package share, from residuals and speeds of a path."""
     data: ToaData = args[0]
-    values = dict(cm.sites(jnp.asarray(x), jnp.asarray(u))[0])
+    values = dict(cm.values(x, u))
     valid = np.asarray(data.valid)
     parts = [p for p in cm.pointwise(x, u, args).values() if "p_direct" in p]
     if parts and "sigma" in values:

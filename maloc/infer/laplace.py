@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from maloc._jax import jnp, require_x64
+from maloc._jax import require_x64
 from maloc.data.model_data import ToaData
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
@@ -114,6 +114,6 @@ def _start(cm: ChainModel, args: tuple, path, positions) -> tuple[np.ndarray, np
     loose = (dataclasses.replace(data, schedule="unknown"), *args[1:])
     without = chain_model(cm.model, cm.options, loose, path)
     fit = maximise_marginal(without, loose, *initial_values(without, loose, positions))
-    known = without.sites(jnp.asarray(fit.x), jnp.asarray(fit.u))[0]
+    known = without.values(fit.x, fit.u)
     values = cm.prior_medians(args) | {k: np.asarray(v) for k, v in known.items()}
     return fit.x, cm.flat_globals(stable_interval(data, fit.x[:, -1], values))
