@@ -21,6 +21,7 @@ __all__ = ["CHUNK", "Chunk", "kernels", "off_resonance"]
 CHUNK = 50
 _LENGTH = 2.4  # trajectory length of jittered HMC: about a quarter turn and a half of N(0, I)
 _DEPTH = 7
+_LONGEST = 0.5  # step; few coordinates accept longer ones and then diverge in the tails
 
 
 class Chunk(NamedTuple):
@@ -93,7 +94,8 @@ def _nuts(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         return run(state, m, args)
 
     def settle(state, factor):
-        step_size = off_resonance(factor * float(state.adapt_state.step_size))
+        step_size = min(float(state.adapt_state.step_size), _LONGEST)
+        step_size = off_resonance(factor * step_size)
         adapted = state.adapt_state._replace(step_size=jnp.asarray(step_size))
         return state._replace(adapt_state=adapted), step_size
 
@@ -189,7 +191,7 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         return _HmcState(key, white, energy, gradient, log_step, seen), chunk
 
     def settle(state, factor):
-        log_step = state.log_step + np.log(factor)
+        log_step = jnp.minimum(state.log_step, np.log(_LONGEST)) + np.log(factor)
         return state._replace(log_step=log_step), float(np.exp(log_step))
 
     return Kernel(start, advance, settle)
