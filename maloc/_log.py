@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
+from maloc._stages import Stages
 from maloc.errors import MalocWarning
 
 __all__ = ["Log"]
@@ -31,7 +31,7 @@ class Log:
         self._held: list[str] | None = []
         self.notices: list[str] = []
         self.warnings: list[str] = []
-        self.seconds: dict[str, dict[str, float]] = {}
+        self.seconds = Stages()
 
     def notice(self, text: str) -> None:
         """Say something on stderr, unless quiet."""
@@ -65,20 +65,9 @@ class Log:
             text = note.text if note.file is None else f"{note.file}: {note.text}"
             (self.notice if note.level == "info" else self.warn)(text)
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> AbstractContextManager[None]:
         """Add wall and CPU seconds of what happens inside to stage `name`."""
-        wall, cpu = time.perf_counter(), time.process_time()
-        try:
-            yield
-        finally:
-            self.add(name, time.perf_counter() - wall, time.process_time() - cpu)
-
-    def add(self, name: str, wall: float, cpu: float) -> None:
-        """Add seconds to a stage."""
-        entry = self.seconds.setdefault(name, {"wall": 0.0, "cpu": 0.0})
-        entry["wall"] += wall
-        entry["cpu"] += cpu
+        return self.seconds.time(name)
 
     @contextmanager
     def listening(self) -> Iterator[None]:

@@ -87,7 +87,7 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
                 **how,
             )
     for name, spent in fit.seconds.items():
-        log.add(f"fit: {name}", spent["wall"], spent["cpu"])
+        log.seconds.add(f"fit: {name}", spent["wall"], spent["cpu"])
     for text in fit.warnings:
         log.warn(f"tag {toa.tag}: {text}" if toa.tag else text)
     with log.stage("tables"):

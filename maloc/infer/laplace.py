@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from maloc._jax import require_x64
+from maloc._stages import Stages
 from maloc.data.model_data import ToaData
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
-from maloc.infer._stages import Stages
 from maloc.infer.initial import initial_values, repair, stable_interval
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.result import LaplaceFit

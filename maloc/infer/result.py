@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from maloc._jax import jnp
+from maloc._stages import Stages
 from maloc.data.model_data import ToaData
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
-from maloc.infer._stages import Stages
 from maloc.infer.marginal import MarginalFit
 
 __all__ = ["Fit", "LaplaceFit", "SampledFit"]

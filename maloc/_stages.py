@@ -19,6 +19,10 @@ class Stages(dict[str, dict[str, float]]):
         try:
             yield
         finally:
-            spent = self.setdefault(stage, {"wall": 0.0, "cpu": 0.0})
-            spent["wall"] += time.perf_counter() - wall
-            spent["cpu"] += time.process_time() - cpu
+            self.add(stage, time.perf_counter() - wall, time.process_time() - cpu)
+
+    def add(self, stage: str, wall: float, cpu: float) -> None:
+        """Add seconds to ``stage``."""
+        spent = self.setdefault(stage, {"wall": 0.0, "cpu": 0.0})
+        spent["wall"] += wall
+        spent["cpu"] += cpu
