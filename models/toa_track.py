@@ -19,7 +19,8 @@ from maloc.movement import CTCRW, Brownian
 
 __all__ = ["UNITS", "toa_track"]
 
-UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s", "interval_sd": "s"}
+UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s"}
+UNITS |= {"interval_sd": "s", "sound_speed": "m/s"}
 
 _OPTIONS = ("ctcrw", "rw"), ("ddetect", "gaussian", "student"), ("auto", "given", "estimated")
 
@@ -69,6 +70,7 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     ratio = 1.0
     if sound_speed == "estimated" or (sound_speed == "auto" and not data.speed_known):
         ratio = numpyro.sample("sound_speed_ratio", dist.Normal(1.0, data.speed_sd))
+        numpyro.deterministic("sound_speed", ratio * jnp.mean(data.speed))
     time = data.time + emission / (data.speed * ratio)
     if data.schedule == "stable":
         mean, sd = data.interval

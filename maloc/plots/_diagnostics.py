@@ -136,7 +136,8 @@ def _draw_parameters(draws: dict[str, np.ndarray], rows: list[dict], ax: Axes) -
         ax.plot([0, 1], [i, i], color=TRACK, lw=2.5, solid_capstyle="butt", zorder=3)
         ax.plot((mean - low) / half, i, "o", color=TRACK, ms=5, zorder=4)
         unit = f" {row['unit']}" if row.get("unit") else ""
-        text = f"{row['name']}  {mean:.3g}{unit}  ({low:.3g} to {high:.3g})"
+        mean, low, high = _digits(mean, low, high)
+        text = f"{row['name']}  {mean}{unit}  ({low} to {high})"
         ax.text(-0.5, i + 0.68, text, fontsize=8, color=INK, va="bottom")
     ax.set_ylim(-0.4, max(len(rows), 1) + 0.1)
     ax.set_xlim(-0.55, 1.55)
@@ -159,3 +160,11 @@ def _draw_trace(draws: dict[str, np.ndarray], names: list[str], ax: Axes) -> Axe
     ax.set_yticks(np.arange(len(shown)) + 0.5, list(reversed(shown)), fontsize=8)
     tidy(ax, "draw", "", "Chains (standardised)")
     return ax
+
+
+def _digits(mean: float, low: float, high: float) -> tuple[str, str, str]:
+    """Three numbers, written to two digits of their range."""
+    spread = max(high - low, 1e-12)
+    places = max(0, 1 - int(np.floor(np.log10(spread))))
+    mean_text, low_text, high_text = (f"{v:.{places}f}" for v in (mean, low, high))
+    return mean_text, low_text, high_text

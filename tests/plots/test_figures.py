@@ -173,3 +173,10 @@ def test_without_axes_a_pyplot_figure_is_made():
     ax = plots.track(FakeFit(t=5))
     assert ax.get_figure() in [plt.figure(n) for n in plt.get_fignums()]
     plt.close("all")
+
+
+def test_parameters_are_written_to_two_digits_of_their_range():
+    from maloc.plots._diagnostics import _digits
+
+    assert _digits(1.00747, 1.00651, 1.00844) == ("1.0075", "1.0065", "1.0084")
+    assert _digits(170.74, 127.1, 227.6) == ("171", "127", "228")
