@@ -6,6 +6,10 @@ state ``t + 1``, so a path of ``T`` states takes ``T - 1`` steps. Axes (x, y) ar
 Batches: parameters with leading dimensions make a batch of paths (one tag each, say), as in any
 NumPyro distribution: ``dt`` (..., T - 1), ``centre`` (..., A), the scalars (...).
 
+Several tags of different lengths make one path instead, laid end to end: ``tag`` (T,) says whose
+state each one is, the first state of every tag starts afresh, and the scalars may be arrays (N,)
+with one value a tag.
+
 References
 ----------
 Johnson, London, Lea & Durban (2008) Continuous-time correlated random walk model for animal
@@ -113,16 +117,31 @@ class _Path(dist.Distribution):
     """What both path distributions share: shapes, and a start around a centre."""
 
     is_chain = True
+    pytree_data_fields = ("tag", "start")
     support: Any
     dt: Any
     centre: Any
     spread: Any
+    tag: Any
+    start: Any
     _log_density: Any  # (batch + event) -> (batch)
-    _path: Any  # standard normal noise (batch + event) -> path
+    _path: Any  # standard normal noise (batch + event), first positions (or None) -> path
 
-    def _set(self, dt, centre, scalars: dict, tail: tuple[int, ...], validate_args) -> None:
+    def _set(
+        self, dt, centre, scalars: dict, tail: tuple[int, ...], tag, start, validate_args
+    ) -> None:
         """Keep the parameters, all with the batch's number of dimensions (plus their own)."""
         dt, centre = jnp.asarray(dt), jnp.asarray(centre)
+        self.tag, self.start = tag, start
+        if tag is not None:
+            if dt.ndim != 1 or centre.ndim != 1 or jnp.shape(tag) != (dt.shape[0] + 1,):
+                raise ValueError("tags laid end to end take dt (T - 1,), centre (A,) and tag (T,)")
+            self.dt, self.centre = dt, centre
+            for name, value in scalars.items():
+                setattr(self, name, jnp.asarray(value) if name == "spread" else _by_tag(value, tag))
+            event = (dt.shape[0] + 1, *tail, centre.shape[0])
+            super().__init__(batch_shape=(), event_shape=event, validate_args=validate_args)
+            return
         shapes = [jnp.shape(v) for v in scalars.values()]
         batch = jax.lax.broadcast_shapes(dt.shape[:-1], centre.shape[:-1], *shapes)
         (self.dt,) = promote_shapes(dt, shape=(*batch, dt.shape[-1]))
@@ -145,11 +164,79 @@ class _Path(dist.Distribution):
 
     def sample(self, key: Array, sample_shape=()):
         """Draw paths, shape ``sample_shape + batch_shape + event_shape``."""
+        key, key_first = jax.random.split(key)
         noise = jax.random.normal(key, self.shape(sample_shape))
-        return self._over(self._path, noise)
+        if self.tag is None and self.start is None:
+            return self._over(lambda z: self._path(z, None), noise)
+        lead = noise.shape[: noise.ndim - len(self.event_shape)]
+        firsts = self._first_law().sample(key_first, (*lead, self.event_shape[0]))
+        path = self._path
+        for _ in lead:
+            path = jax.vmap(path)
+        return path(noise, firsts)
+
+    def _starts(self):
+        """Which states after the first start a tag, (T - 1,) bool."""
+        return self.tag[1:] != self.tag[:-1]
+
+    def _first_law(self):
+        """Law of a first position (A,)."""
+        if self.start is not None:
+            return self.start
+        return dist.Normal(self.centre, _column(self.spread)).to_event(1)
+
+    def _firsts(self, states):
+        """Those of the states (..., T, A) that the law of first states is asked about."""
+        return states[..., :1, :] if self.tag is None else states
+
+    def _place(self, position):
+        """Log density (..., T or 1) of positions as first ones."""
+        position = self._firsts(position)
+        if self.start is not None:
+            return self.start.log_prob(position)
+        spread = _column(self.spread)
+        off = (position - self.centre[..., None, :]) / _column(spread)
+        n_axes = self.event_shape[-1]
+        return -0.5 * jnp.sum(off**2, -1) - n_axes * (jnp.log(spread) + 0.5 * _LOG_2PI)
+
+    def _join(self, first, steps):
+        """Total of the steps' log densities (..., T - 1) and those of first states (..., T)."""
+        if self.tag is None:
+            return first[..., 0] + jnp.sum(steps, -1)
+        return first[0] + jnp.sum(jnp.where(self._starts(), first[1:], steps))
+
+    def _by_step(self, x):
+        """A parameter as it goes with the steps (..., T - 1)."""
+        if self.tag is None or jnp.ndim(x) == 0:
+            return _column(x)
+        return x[1:]
+
+    def _by_first(self, x):
+        """A parameter as it goes with what `_firsts` keeps, without its axes."""
+        return _column(x) if self.tag is None else x
+
+    def _own_start(self):
+        """For each state, where its tag starts, (T,) int."""
+        if self.tag is None:
+            return jnp.zeros(self.event_shape[0], int)
+        here = jnp.arange(1, self.event_shape[0])
+        started = jnp.where(self._starts(), here, 0)
+        return jax.lax.cummax(jnp.concatenate([jnp.zeros(1, int), started]))
+
+    def _elapsed(self):
+        """Seconds since the tag's first state, (..., T)."""
+        zero = jnp.zeros_like(self.dt[..., :1])
+        time = jnp.cumsum(jnp.concatenate([zero, self.dt], axis=-1), axis=-1)
+        return time - time[..., self._own_start()]
 
     def _broadcast(self, x):
         return jnp.broadcast_to(x, self.batch_shape + self.event_shape)
+
+
+def _by_tag(x, tag):
+    """A parameter by tag (N,) as one by state (T,); a scalar as it is. Padding takes the last."""
+    x = jnp.asarray(x)
+    return x if x.ndim == 0 else x.at[tag].get(mode="clip")
 
 
 def _column(x):
@@ -172,6 +259,10 @@ class CTCRW(_Path):
         Mean of the first position (m).
     spread : float or (...) array
         Standard deviation of the first position in each axis (m); velocity starts stationary.
+    tag : (T,) array of int, optional
+        Whose state each one is, where tags are laid end to end (N of them, grouped).
+    start : distribution, optional
+        Law of first positions (A,) in place of Normal(centre, spread): `maloc.statespace.SoftBox`.
 
     Notes
     -----
@@ -195,14 +286,17 @@ class CTCRW(_Path):
     t05: Any
     reparametrized_params = ["dt", "sigma_vel", "t05", "centre", "spread"]
 
-    def __init__(self, dt, sigma_vel, t05, centre, spread=1e3, *, validate_args=None):
+    def __init__(
+        self, dt, sigma_vel, t05, centre, spread=1e3, *, tag=None, start=None, validate_args=None
+    ):
         scalars = {"sigma_vel": sigma_vel, "t05": t05, "spread": spread}
-        self._set(dt, centre, scalars, (2,), validate_args)
+        self._set(dt, centre, scalars, (2,), tag, start, validate_args)
 
     @property
     def transition(self) -> Transition:
         """The steps' transitions, each element (..., T - 1)."""
-        return ctcrw_transition(self.dt, _column(self.sigma_vel), _column(ctcrw_beta(self.t05)))
+        beta = ctcrw_beta(self.t05)
+        return ctcrw_transition(self.dt, self._by_step(self.sigma_vel), self._by_step(beta))
 
     def _log_density(self, value: Float[Array, "... time 2 axis"]):
         position, velocity = value[..., 0, :], value[..., 1, :]
@@ -213,54 +307,58 @@ class CTCRW(_Path):
         r1 = r1 / l11[..., None]
         r2 = velocity[..., 1:, :] - a22 * velocity[..., :-1, :] - l21[..., None] * r1
         r2 = r2 / l22[..., None]
-        r0 = (position[..., 0, :] - self.centre) / _column(self.spread)
-        v0 = velocity[..., 0, :] / _column(self.sigma_vel)
-        squares = _total(r1**2) + _total(r2**2) + jnp.sum(r0**2, -1) + jnp.sum(v0**2, -1)
-        log_det = jnp.sum(jnp.log(l11 * l22), -1) + jnp.log(self.spread * self.sigma_vel)
-        n_times, _, n_axes = self.event_shape
-        return -0.5 * squares - n_axes * (log_det + n_times * _LOG_2PI)
+        n_axes = self.event_shape[-1]
+        steps = -0.5 * jnp.sum(r1**2 + r2**2, -1) - n_axes * (jnp.log(l11 * l22) + _LOG_2PI)
+        sd = self._by_first(self.sigma_vel)
+        v0 = self._firsts(velocity) / _column(sd)
+        at_rest = -0.5 * jnp.sum(v0**2, -1) - n_axes * (jnp.log(sd) + 0.5 * _LOG_2PI)
+        return self._join(self._place(position) + at_rest, steps)
 
-    def _path(self, noise: Float[Array, "... time 2 axis"]):
+    def _path(self, noise: Float[Array, "... time 2 axis"], firsts):
         transition = self.transition
         factor = (transition.a12, transition.a22, *_step_factor(transition))
         steps = [jnp.moveaxis(jnp.asarray(x)[..., None], -2, 0) for x in factor]
+        if firsts is None:
+            firsts = self.centre[..., None, :] + _column(_column(self.spread)) * noise[..., 0, :]
+        sd = self._by_first(self.sigma_vel)
+        rest = jnp.broadcast_to(_column(sd), noise[..., 1, :].shape) * noise[..., 1, :]
+        start = self._own_start() == jnp.arange(self.event_shape[0])
 
         def step(state, inputs):
             position, velocity = state
-            z, a12, a22, l11, l21, l22 = inputs
+            z, starts, place, at_rest, a12, a22, l11, l21, l22 = inputs
             position = position + a12 * velocity + l11 * z[..., 0, :]
             velocity = a22 * velocity + l21 * z[..., 0, :] + l22 * z[..., 1, :]
+            position = jnp.where(starts, place, position)
+            velocity = jnp.where(starts, at_rest, velocity)
             return (position, velocity), (position, velocity)
 
-        first = (
-            self.centre + _column(self.spread) * noise[..., 0, 0, :],
-            _column(self.sigma_vel) * noise[..., 0, 1, :],
-        )
-        rest = jnp.moveaxis(noise[..., 1:, :, :], -3, 0)
-        _, (position, velocity) = jax.lax.scan(step, first, (rest, *steps))
+        first = (firsts[..., 0, :], rest[..., 0, :])
+        inputs = [jnp.moveaxis(x[..., 1:, :], -2, 0) for x in (firsts, rest)]
+        z = jnp.moveaxis(noise[..., 1:, :, :], -3, 0)
+        _, (position, velocity) = jax.lax.scan(step, first, (z, start[1:], *inputs, *steps))
         path = jnp.stack([position, velocity], axis=-2)
         path = jnp.concatenate([jnp.stack(first, axis=-2)[None], path])
         return jnp.moveaxis(path, 0, -3)
 
     @property
     def mean(self):
-        """Mean path (..., T, 2, A): the centre, standing still."""
-        both = jnp.stack([self.centre, jnp.zeros_like(self.centre)], axis=-2)
+        """Mean path (..., T, 2, A): the first position's mean, standing still."""
+        centre = self._first_law().mean
+        both = jnp.stack([centre, jnp.zeros_like(centre)], axis=-2)
         return self._broadcast(both[..., None, :, :])
 
     @property
     def variance(self):
         """Marginal variances (..., T, 2, A): m2 and m2/s2."""
-        beta = _column(ctcrw_beta(self.t05))
-        elapsed = jnp.cumsum(self.dt, axis=-1)
-        elapsed = jnp.concatenate([jnp.zeros_like(elapsed[..., :1]), elapsed], axis=-1)
-        x = beta * elapsed
-        stationary = _column(self.sigma_vel) ** 2
+        beta = self._by_first(ctcrw_beta(self.t05))
+        x = beta * self._elapsed()
+        stationary = self._by_first(self.sigma_vel) ** 2
         # 2 (x - 1 + e^-x) as a sum of two positive terms: no cancellation
         moved = stationary / beta**2 * (_position_variance(x) + jnp.expm1(-x) ** 2)
-        position = _column(self.spread) ** 2 + moved
-        both = jnp.stack([position, jnp.broadcast_to(stationary, position.shape)], axis=-1)
-        return self._broadcast(both[..., None])
+        position = self._first_law().variance[..., None, :] + moved[..., None]
+        still = jnp.broadcast_to(_column(stationary), position.shape)
+        return self._broadcast(jnp.stack([position, still], axis=-2))
 
 
 class Brownian(_Path):
@@ -276,6 +374,10 @@ class Brownian(_Path):
         Mean of the first position (m).
     spread : float or (...) array
         Standard deviation of the first position in each axis (m).
+    tag : (T,) array of int, optional
+        Whose state each one is, where tags are laid end to end (N of them, grouped).
+    start : distribution, optional
+        Law of first positions (A,) in place of Normal(centre, spread): `maloc.statespace.SoftBox`.
 
     Notes
     -----
@@ -292,34 +394,35 @@ class Brownian(_Path):
     sigma: Any
     reparametrized_params = ["dt", "sigma", "centre", "spread"]
 
-    def __init__(self, dt, sigma, centre, spread=1e3, *, validate_args=None):
-        self._set(dt, centre, {"sigma": sigma, "spread": spread}, (), validate_args)
+    def __init__(self, dt, sigma, centre, spread=1e3, *, tag=None, start=None, validate_args=None):
+        scalars = {"sigma": sigma, "spread": spread}
+        self._set(dt, centre, scalars, (), tag, start, validate_args)
+
+    def _step_sd(self):
+        return self._by_step(self.sigma) * jnp.sqrt(self.dt)
 
     def _log_density(self, value: Float[Array, "... time axis"]):
-        scale = _column(self.sigma) * jnp.sqrt(self.dt)
+        scale = self._step_sd()
         steps = (value[..., 1:, :] - value[..., :-1, :]) / scale[..., None]
-        start = (value[..., 0, :] - self.centre) / _column(self.spread)
-        squares = _total(steps**2) + jnp.sum(start**2, -1)
-        log_det = jnp.sum(jnp.log(scale), -1) + jnp.log(self.spread)
-        n_times, n_axes = self.event_shape
-        return -0.5 * squares - n_axes * (log_det + 0.5 * n_times * _LOG_2PI)
+        n_axes = self.event_shape[-1]
+        steps = -0.5 * jnp.sum(steps**2, -1) - n_axes * (jnp.log(scale) + 0.5 * _LOG_2PI)
+        return self._join(self._place(value), steps)
 
-    def _steps_sd(self):
-        """Sd (..., T) of the start and of each step."""
-        steps = _column(self.sigma) * jnp.sqrt(self.dt)
-        start = jnp.broadcast_to(_column(self.spread), (*steps.shape[:-1], 1))
-        return jnp.concatenate([start, steps], axis=-1)
-
-    def _path(self, noise: Float[Array, "... time axis"]):
-        steps = noise * self._steps_sd()[..., None]
-        return self.centre[..., None, :] + jnp.cumsum(steps, axis=-2)
+    def _path(self, noise: Float[Array, "... time axis"], firsts):
+        if firsts is None:
+            firsts = self.centre[..., None, :] + _column(_column(self.spread)) * noise
+        steps = noise[..., 1:, :] * self._step_sd()[..., None]
+        moved = jnp.cumsum(jnp.concatenate([jnp.zeros_like(steps[..., :1, :]), steps], -2), -2)
+        own = self._own_start()
+        return firsts[..., own, :] + moved - moved[..., own, :]
 
     @property
     def mean(self):
-        """Mean path (..., T, A): the centre."""
-        return self._broadcast(self.centre[..., None, :])
+        """Mean path (..., T, A): the first position's mean."""
+        return self._broadcast(self._first_law().mean[..., None, :])
 
     @property
     def variance(self):
         """Marginal variances (..., T, A), m2."""
-        return self._broadcast(jnp.cumsum(self._steps_sd() ** 2, axis=-1)[..., None])
+        moved = self._by_first(self.sigma) ** 2 * self._elapsed()
+        return self._broadcast(self._first_law().variance[..., None, :] + moved[..., None])
