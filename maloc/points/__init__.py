@@ -1,0 +1,12 @@
+"""One ping at a time: positions from the arrivals of a single emission, that know when they err.
+
+`locate` is the one entry; it needs no movement model and no neighbouring ping, and says of every
+ping where it was, how surely, which arrivals were used, and where a second place fits as well.
+"""
+
+from __future__ import annotations
+
+from maloc.points.locate import locate
+from maloc.points.result import Points
+
+__all__ = ["Points", "locate"]

@@ -1,0 +1,226 @@
+"""Pings as padded arrays: the shape in which every method of `maloc.points` sees its data.
+
+A method is a function of one ping (arrays over its M arrivals, masked) that is vmapped over pings.
+`in_batches` runs it over pings sorted into widths, so that a ping of five arrivals costs five and
+one compilation serves every data set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maloc.data.arrivals import ArrivalTimes
+
+__all__ = ["Found", "Problem", "bounds", "in_batches", "problem_of", "spread_columns"]
+
+_WIDTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
+_BATCHES = (64, 512, 4096)
+
+
+class Problem(NamedTuple):
+    """The arrivals of P pings, best first (smallest sigma, then earliest), padded to M.
+
+    Inside a vmapped method the leading axis P is gone.
+
+    Attributes
+    ----------
+    range : array (P, M)
+        Sound speed x (arrival - first arrival of the ping), m; 0 in padding.
+    heard : array (P, M) bool
+        False in padding.
+    sigma : array (P, M)
+        Standard deviation of each arrival's error, m; 1 in padding.
+    place : array (P, M, 3)
+        Receiver's x, y and depth, m. For positions in the plane the depth is below the tag, and 0
+        where depths play no part.
+    """
+
+    range: Any
+    heard: Any
+    sigma: Any
+    place: Any
+
+    def rows(self, which: Any) -> Problem:
+        """The same for some pings."""
+        return Problem(*(a[which] for a in self))
+
+
+class Found(NamedTuple):
+    """What a method returns for P pings of a `Problem`; `maloc.points.locate` makes `Points` of it.
+
+    Attributes
+    ----------
+    position : array (P, d)
+        Metres; NaN where none.
+    emission : array (P,)
+        Emission's range, m: sound speed x (emission - first arrival), so mostly negative.
+    inlier : array (P, M) bool
+        Arrivals used, in the problem's order.
+    ambiguous : array (P,) bool
+        Two places fit.
+    alternative : array (P, d)
+        The second; NaN where none.
+    why : array (P,) of str
+        Why there is no position; "" where there is one.
+    covariance : array (P, d, d) or None
+        None: by `maloc.points.covariance.covariance` from the inliers.
+    extra : dict
+        Arrays (P, ...) for `Points.extra`.
+    arrival_extra : dict
+        Arrays (P, M), brought to (P, R) for `Points.extra`; NaN where not heard.
+    """
+
+    position: np.ndarray
+    emission: np.ndarray
+    inlier: np.ndarray
+    ambiguous: np.ndarray
+    alternative: np.ndarray
+    why: np.ndarray
+    covariance: np.ndarray | None = None
+    extra: dict[str, np.ndarray] = {}
+    arrival_extra: dict[str, np.ndarray] = {}
+
+
+def problem_of(
+    toa: ArrivalTimes, below: np.ndarray, sigma: float | np.ndarray
+) -> tuple[Problem, np.ndarray]:
+    """Return the padded arrays of all pings, and the column (P, M) each arrival came from.
+
+    Parameters
+    ----------
+    toa : ArrivalTimes
+        P pings, R columns.
+    below : array (P, R)
+        What goes into `Problem.place` as depth, m.
+    sigma : float or array (P, R)
+        Standard deviation of an arrival's error, m.
+    """
+    heard = toa.heard
+    width = int(max(heard.sum(1).max(initial=0), 1))
+    first = np.where(heard, toa.toa, np.inf).min(axis=1, keepdims=True, initial=np.inf)
+    ranges = np.where(heard, (toa.toa - np.where(np.isfinite(first), first, 0)), np.inf)
+    ranges *= toa.sound_speed[:, None]
+    column = np.argsort(ranges, axis=1, kind="stable")
+    sigma = np.broadcast_to(np.asarray(sigma, float), heard.shape)
+    if np.ptp(sigma, axis=1).any():
+        ordered = np.take_along_axis(np.where(heard, sigma, np.inf), column, axis=1)
+        column = np.take_along_axis(column, np.argsort(ordered, axis=1, kind="stable"), axis=1)
+    column = column[:, :width]
+    kept = np.take_along_axis(heard, column, axis=1)
+    place = np.empty((*column.shape, 3))
+    place[..., 0], place[..., 1] = toa.receivers.x[column], toa.receivers.y[column]
+    place[..., 2] = np.take_along_axis(below, column, axis=1)
+    return Problem(
+        range=np.where(kept, np.take_along_axis(ranges, column, axis=1), 0.0),
+        heard=kept,
+        sigma=np.where(kept, np.take_along_axis(sigma, column, axis=1), 1.0),
+        place=np.where(kept[..., None], place, 0.0),
+    ), column
+
+
+def spread_columns(values: np.ndarray, column: np.ndarray, n: int, fill: Any) -> np.ndarray:
+    """Bring (P, M) values to their columns (P, n)."""
+    out = np.full((len(values), n), fill, values.dtype)
+    np.put_along_axis(out, column, values, axis=1)
+    return out
+
+
+def bounds(xy: np.ndarray, margin: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (2,) of the box of points (R, 2), wider by `margin` diagonals."""
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    more = margin * max(float(np.linalg.norm(high - low)), 1.0)
+    return low - more, high + more
+
+
+@lru_cache(maxsize=64)
+def _compiled(solve: Callable, static: tuple, n_per_ping: int, n_shared: int, axis: int) -> Any:
+    from maloc._jax import jax
+
+    axes = (Problem(axis, axis, axis, axis), *(axis,) * n_per_ping, *(None,) * n_shared)
+    one = partial(solve, **dict(static))
+    return jax.jit(jax.vmap(one, in_axes=axes, out_axes=axis))
+
+
+def in_batches(
+    solve: Callable,
+    problem: Problem,
+    per_ping: tuple = (),
+    shared: tuple = (),
+    *,
+    static: dict[str, Any] | None = None,
+    pings_last: bool = True,
+    largest: int = _BATCHES[-1],
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Run a function of one ping over all of them.
+
+    Parameters
+    ----------
+    solve : callable
+        ``solve(ping, *per_ping, *shared, **static) -> (values, arrival_values)``: two dicts, the
+        second of arrays whose first axis is the M arrivals. A module's function, in JAX, free of
+        NaN traps in padding.
+    problem : Problem
+        P pings.
+    per_ping : tuple of array (P, ...)
+        Further arguments, one row a ping.
+    shared : tuple
+        Arguments that all pings share; traced, so that their values compile nothing.
+    static : dict, optional
+        Hashable keyword arguments.
+    pings_last : bool
+        Lay pings out along the last axis (fast where each ping's arrays are small) or the first.
+    largest : int
+        Most pings in one call, to bound memory.
+
+    Returns
+    -------
+    tuple of two dicts
+        Arrays (P, ...) and (P, M, ...).
+    """
+    axis = -1 if pings_last else 0
+    key = tuple(sorted((static or {}).items()))
+    run = _compiled(solve, key, len(per_ping), len(shared), axis)
+    count = problem.heard.sum(axis=1)
+    n, m = problem.heard.shape
+    per_ping = tuple(np.asarray(a) for a in per_ping)
+    values: dict[str, np.ndarray] = {}
+    arrivals: dict[str, np.ndarray] = {}
+    width = np.array([_width(k) for k in range(int(count.max(initial=0)) + 1)])[count]
+    for w in np.unique(width):
+        mine = np.flatnonzero(width == w)
+        for rows in np.split(mine, range(largest, len(mine), largest)):
+            size = min(next((b for b in _BATCHES if b >= len(rows)), _BATCHES[-1]), largest)
+            parts = [_cut(a, rows, size, int(w), axis) for a in problem]
+            more = [_cut(a, rows, size, None, axis) for a in per_ping]
+            one, each = run(Problem(*parts), *more, *shared)
+            for out, found, extra in ((values, one, False), (arrivals, each, True)):
+                for name, value in found.items():
+                    got = np.moveaxis(np.asarray(value), axis, 0)[: len(rows)]
+                    if extra:
+                        got = got[:, :m]
+                    shape = (n, m, *got.shape[2:]) if extra else (n, *got.shape[1:])
+                    into = out.setdefault(name, np.zeros(shape, got.dtype))
+                    if extra:
+                        into[rows, : got.shape[1]] = got
+                    else:
+                        into[rows] = got
+    return values, arrivals
+
+
+def _width(count: int) -> int:
+    return next((w for w in _WIDTHS if w >= count), count)
+
+
+def _cut(a: np.ndarray, rows: np.ndarray, size: int, width: int | None, axis: int) -> np.ndarray:
+    """Rows of `a`, padded by the last to `size`, arrivals cut or padded to `width`."""
+    out = a[np.pad(rows, (0, size - len(rows)), mode="edge")]
+    if width is not None:
+        out = out[:, :width]
+        if out.shape[1] < width:
+            fill = [(0, 0), (0, width - out.shape[1])] + [(0, 0)] * (out.ndim - 2)
+            out = np.pad(out, fill)
+    return np.ascontiguousarray(np.moveaxis(out, 0, axis))
