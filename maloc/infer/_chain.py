@@ -86,16 +86,31 @@ class ChainFactor:
             out[k] += carry[k].T @ out[k + 1] @ carry[k]
         return out
 
-    def window(self, width: int) -> np.ndarray:
-        """L^-T cut to ``width`` states ahead: W (T, width, d, d), x_t = sum_w W[t, w] z_{t + w}."""
+    def doubled(self, most: int = 16, tol: float = 1e-3) -> tuple[np.ndarray, np.ndarray]:
+        """L^-T as a product of few shifts: root (T, d, d) and powers (J, T, d, d).
+
+        With y = root z, x = L^-T z solves x_t = y_t + M_t x_(t+1); the J-th power carries M over
+        2^j states, and x follows from y by y_t += powers[j, t] y_(t + 2^j), j = 0, 1, ... (the
+        geometric series (I + N) (I + N^2) (I + N^4) ...). Powers end where none moves a state by
+        more than ``tol`` of its own width, at 3, 6, 9, ... of them (8, 64, 512 states ahead), so
+        that few shapes are compiled.
+        """
         diagonal, below = self._blocks()
-        length, d = self.length, self.d
-        inverse_t = np.linalg.inv(diagonal).transpose(0, 2, 1)
-        step = np.zeros((length, d, d))
-        step[:-1] = -inverse_t[:-1] @ below.transpose(0, 2, 1)
-        out = np.zeros((length, width, d, d))
-        ahead = np.tile(np.eye(d), (length, 1, 1))
-        for w in range(min(width, length)):
-            out[: length - w, w] = ahead[: length - w] @ inverse_t[w:]
-            ahead[: length - w - 1] = ahead[: length - w - 1] @ step[w : length - 1]
-        return out
+        root = np.linalg.inv(diagonal).transpose(0, 2, 1)
+        power = np.zeros((self.length, self.d, self.d))
+        power[:-1] = -root[:-1] @ below.transpose(0, 2, 1)
+        powers: list[np.ndarray] = []
+        while len(powers) < most:
+            reach = 2 ** len(powers)
+            if len(powers) % 3 == 0 and powers:
+                ahead = np.zeros_like(root)
+                ahead[:-reach] = root[reach:]
+                moved = diagonal.transpose(0, 2, 1) @ power @ ahead
+                if np.abs(moved).max(initial=0.0) < tol:
+                    break
+            powers.append(power)
+            further = np.zeros_like(power)
+            if reach < self.length:
+                further[:-reach] = power[:-reach] @ power[reach:]
+            power = further
+        return root, np.stack(powers)

@@ -113,6 +113,8 @@ class ChainModel:
                 else f"path sites differ in length: {sorted(lengths)}"
             )
         self.d, self.k = start, place
+        observed = [_unwrap(s["fn"])[0] for s in trace.values() if s["type"] == "sample"]
+        self.has_local = any(getattr(fn, "local", False) for fn in observed)
         self.terms = jax.jit(self._robust_terms)
         self.exact = jax.jit(self._exact_terms)
         self.cross = jax.jit(self._cross)
@@ -208,7 +210,8 @@ class ChainModel:
         """Negative log joint whose Hessian in ``moving`` at x is the Gauss-Newton one.
 
         Sites whose distribution knows a non-negative curvature of its residual enter by it and by
-        the movement of their ``loc``; everything else enters exactly.
+        the movement of their ``loc``; local ones are left out (see `_local`); everything else
+        enters exactly.
         """
         here = self._trace(self.sites(x, u)[0], args)
         values, total = self.sites(moving, u)
@@ -228,8 +231,30 @@ class ChainModel:
                 if mask is not None:
                     curvature = jnp.where(mask, curvature, 0.0)
                 total -= 0.5 * jnp.sum(scale * curvature * (base.loc - fixed.loc) ** 2)
-            else:
+            elif not getattr(base, "local", False):
                 total += jnp.sum(scale * fn.log_prob(site["value"]))
+        return -total
+
+    def _local(self, moving, x, u, args):
+        """Negative log density of the local sites: each term depends on one state.
+
+        A distribution whose terms do not (missed pings summed out) offers
+        ``local_log_prob(value, here)``, which has its gradient at ``here`` and is local.
+        """
+        here = self._trace(self.sites(x, u)[0], args)
+        total = jnp.zeros(())
+        for name, site in self._trace(self.sites(moving, u)[0], args).items():
+            if site["type"] != "sample":
+                continue
+            base, mask = _unwrap(site["fn"])
+            if not getattr(base, "local", False):
+                continue
+            if hasattr(base, "local_log_prob"):
+                density = base.local_log_prob(site["value"], _unwrap(here[name]["fn"])[0])
+            else:
+                density = base.log_prob(site["value"])
+            density = density if mask is None else jnp.where(mask, density, 0.0)
+            total += jnp.sum(density if site["scale"] is None else site["scale"] * density)
         return -total
 
     # -- derivatives ----------------------------------------------------------------------------
@@ -256,7 +281,21 @@ class ChainModel:
         value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
         slope = jax.grad(self._surrogate)
         _, push = jax.linearize(lambda m: slope(m, x, u, args, temper, robust), x)
-        return value, gradient, self._band(push, x.shape)
+        band = self._band(push, x.shape)
+        if self.has_local:
+            d = self.d
+            clipped = _clipped(self._local_blocks(x, u, args))
+            for i in range(d):
+                column = jnp.moveaxis(clipped[:, i:, i], 1, 0)  # (d - i, T), below the diagonal
+                band = band.at[: d - i, i::d].add(column)
+        return value, gradient, band
+
+    def _local_blocks(self, x, u, args):
+        """Hessian blocks (T, d, d) of the local sites: one product a column does for all states."""
+        slope = jax.grad(self._local)
+        _, push = jax.linearize(lambda m: slope(m, x, u, args), x)
+        probes = jnp.broadcast_to(jnp.eye(self.d)[:, None], (self.d, *x.shape))
+        return jnp.moveaxis(jax.vmap(push)(probes), 0, 2)
 
     def _exact_terms(self, x, u, args, temper):
         both = jax.value_and_grad(self._value)
@@ -315,6 +354,12 @@ class ChainModel:
         }
         total, density = jax.lax.scan(one, zero, (x, u))
         return density, jax.tree.map(lambda v: v / x.shape[0], total)
+
+
+def _clipped(blocks):
+    """Symmetric blocks (T, d, d) with negative eigenvalues raised to 0."""
+    values, vectors = jnp.linalg.eigh(0.5 * (blocks + jnp.swapaxes(blocks, 1, 2)))
+    return jnp.einsum("tik,tk,tjk->tij", vectors, jnp.maximum(values, 0.0), vectors)
 
 
 def _median(fn):

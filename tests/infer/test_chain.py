@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from maloc.infer._chain import ChainFactor
+from maloc.infer._map import unwhiten
 from tests.oracles import from_band
 
 
@@ -52,16 +53,28 @@ class TestFactor:
         wanted = inverse[np.arange(length), :, np.arange(length)]
         np.testing.assert_allclose(ChainFactor(band, d).covariances(), wanted, atol=1e-11)
 
-    @pytest.mark.parametrize("width", [1, 4, 12])
-    def test_window(self, length, d, width):
+    def test_doubled(self, length, d):
+        """All powers: L^-T exactly; three: its blocks up to seven states ahead, and no others."""
         band, dense = banded(length, d)
-        inverse = np.linalg.inv(np.linalg.cholesky(dense)).T.reshape(length, d, length, d)
-        window = ChainFactor(band, d).window(width)
-        assert window.shape == (length, width, d, d)
-        for t in range(length):
-            for w in range(width):
-                wanted = inverse[t, :, t + w] if t + w < length else np.zeros((d, d))
-                np.testing.assert_allclose(window[t, w], wanted, atol=1e-10)
+        wanted = np.linalg.inv(np.linalg.cholesky(dense)).T
+        blocks = wanted.reshape(length, d, length, d)
+        far = np.subtract.outer(np.arange(length), np.arange(length)).T > 7
+        near = np.where(far[:, None, :, None], 0.0, blocks).reshape(wanted.shape)
+        eye = np.eye(length * d).reshape(-1, length, d)
+        for most, expected in ((16, wanted), (3, near)):
+            root, powers = ChainFactor(band, d).doubled(most, tol=0.0)
+            assert root.shape == (length, d, d)
+            assert powers.shape[1:] == (length, d, d)
+            columns = [np.asarray(unwhiten(root, powers, z)).ravel() for z in eye]
+            np.testing.assert_allclose(np.transpose(columns), expected, atol=1e-10)
+
+
+def test_doubling_ends_where_nothing_is_carried_further():
+    """Strong data at every state: three shifts. A free random walk: as many as it is long."""
+    for strength, levels in ((100.0, 3), (1e-9, 9)):
+        band = np.zeros((2, 300))
+        band[0], band[1, :-1] = 2.0 + strength, -1.0
+        assert len(ChainFactor(band, 1).doubled()[1]) == levels
 
 
 @pytest.mark.parametrize("spoil", [np.nan, np.inf, -1.0])

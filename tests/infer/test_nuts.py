@@ -31,7 +31,7 @@ def standard_error(draws):
 
 
 class TestMap:
-    @pytest.fixture(scope="class", params=[5, 14], ids=["within the window", "beyond it"])
+    @pytest.fixture(scope="class", params=[5, 14], ids=["short", "longer"])
     @classmethod
     def problem(cls, request):
         args = cases.fixes_data(length=request.param)
@@ -55,7 +55,7 @@ class TestMap:
         assert np.ptp(ours) > 0.1
 
     def test_gradient(self, problem):
-        """The map's own backward rule against differences."""
+        """Backward through the map against differences."""
         cm, args, mapping = problem
         function = jax.jit(lambda white: potential(cm, white, mapping, args))
         white, way = np.random.default_rng(1).normal(size=(2, cm.k + mapping.x.size))
