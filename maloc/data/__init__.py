@@ -9,12 +9,14 @@ __all__ = [
     "ArrivalTimes",
     "CheckReport",
     "Detections",
+    "EncounterHistory",
     "Note",
     "ReadReport",
     "Receivers",
     "Schedule",
     "SetAside",
     "collinear",
+    "encounter_history",
     "match_tag",
     "read_detections",
     "read_receivers",
@@ -26,12 +28,14 @@ _HOME = {
     "ArrivalTimes": "arrivals",
     "CheckReport": "check",
     "Detections": "detections",
+    "EncounterHistory": "encounters",
     "Note": "report",
     "ReadReport": "report",
     "Receivers": "receivers",
     "Schedule": "arrivals",
     "SetAside": "arrivals",
     "collinear": "receivers",
+    "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
     "read_detections": "readers",
     "read_receivers": "readers",
@@ -44,6 +48,8 @@ if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
     from maloc.data.check import CheckReport
     from maloc.data.detections import Detections
+    from maloc.data.encounter_grouping import encounter_history
+    from maloc.data.encounters import EncounterHistory
     from maloc.data.grouping import toa_matrix
     from maloc.data.readers import read_detections, read_receivers, read_toa
     from maloc.data.receivers import Receivers, collinear

@@ -37,7 +37,7 @@ def _arrays(history: EncounterHistory, states: States, gaps, pad: bool) -> Encou
     more, wider = size - s, j - r
     ping = states.row >= 0
     heard = ping[:, None] & history.heard[states.row]
-    listening = history.listening_at(states.time)
+    listening = history.listening_at(states.time) | heard
     xy = history.receivers.xy
     xy = np.concatenate([xy, np.repeat(xy.mean(axis=0)[None], wider, axis=0)])
     initial = _initial(history, states)

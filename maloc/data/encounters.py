@@ -66,6 +66,9 @@ class EncounterHistory:
     lead : float
         How much of the silence before the first and after the last heard ping counts, in mean
         burst intervals. Longer leads say little more, and cost states.
+    slack : float
+        How far the time from one ping to the next may be off (clocks, travel times, rounding), s:
+        the limits of a random schedule are widened by it.
     origin : int, optional
         ns since 1970 UTC of second 0; None: the input had no date.
     detection : array (P, R) of int64, optional
@@ -82,8 +85,8 @@ class EncounterHistory:
     Raises
     ------
     InputError
-        If shapes do not agree, rows are not in order, a tag has no row, a ping lies outside its
-        tag's time span, or was heard by a receiver that was not deployed.
+        If shapes do not agree, rows are not in order, a tag has no row, or a ping lies outside its
+        tag's time span.
     """
 
     time: np.ndarray
@@ -101,6 +104,7 @@ class EncounterHistory:
     edge: float = None  # pyright: ignore[reportAssignmentType]
     covariates: Mapping[str, Covariate] = field(default_factory=dict)
     lead: float = 8.0
+    slack: float = 0.0
     origin: int | None = None
     detection: np.ndarray | None = None
     reach: float | None = None
@@ -143,13 +147,6 @@ class EncounterHistory:
             object.__setattr__(self, name, value)
         self._check_order()
         self._check_numbers()
-        deaf = heard & ~self.listening
-        if deaf.any():
-            i, j = np.argwhere(deaf)[0]
-            raise InputError(
-                f"{self.receivers.labels[j]} heard ping {i} at {self.time[i]:.6g} s, when it was "
-                "not deployed"
-            )
 
     def _check_order(self) -> None:
         steps = np.diff(self.tag)
@@ -179,6 +176,8 @@ class EncounterHistory:
             raise InputError(f"the edge {self.edge:g} m is not a positive width")
         if not (np.isfinite(self.lead) and self.lead >= 0):
             raise InputError(f"a lead of {self.lead:g} intervals is not a number from 0")
+        if not (np.isfinite(self.slack) and self.slack >= 0):
+            raise InputError(f"a slack of {self.slack:g} s is not a number from 0")
         if (self.reach is None) != (self.near is None):
             raise InputError("reach and near go together (see prune)")
 
@@ -202,8 +201,8 @@ class EncounterHistory:
 
     @property
     def listening(self) -> np.ndarray:
-        """Which deployments listened at each ping, (P, R) bool."""
-        return self.listening_at(self.time)
+        """Which deployments listened at each ping, (P, R) bool; one that heard it did."""
+        return self.listening_at(self.time) | self.heard
 
     def listening_at(self, time: np.ndarray) -> np.ndarray:
         """Which deployments listened at each time (T,) in seconds from `origin`, (T, R) bool."""

@@ -135,7 +135,7 @@ class Receivers:
             Index of the deployment; -1 where the receiver is not in the table or was not deployed.
         """
         receiver, time = np.asarray(receiver, dtype=str), np.asarray(time, dtype=np.int64)
-        receiver = self._translated(receiver)
+        receiver = self.canonical(receiver)
         out = np.full(len(receiver), -1, np.int64)
         for d in range(len(self)):
             mine = (receiver == self.receiver[d]) & (time >= self.start[d])
@@ -144,10 +144,10 @@ class Receivers:
 
     def knows(self, name: str) -> bool:
         """Say whether a receiver is in the table, by its name or by the serial number in it."""
-        return str(self._translated(np.asarray([name], dtype=str))[0]) in self.names
+        return str(self.canonical(np.asarray([name], dtype=str))[0]) in self.names
 
-    def _translated(self, receiver: np.ndarray) -> np.ndarray:
-        """Names as the table has them: "VR2W-301001" and "301001" are one receiver."""
+    def canonical(self, receiver: np.ndarray) -> np.ndarray:
+        """Return names (N,) as the table has them: "VR2W-301001" and "301001" are one receiver."""
         names, table = np.unique(receiver), set(self.names)
         by_serial: dict[str, list[str]] = {}
         for n in self.names:

@@ -1,9 +1,11 @@
 """Clock synchronisation: raw receiver clocks to one common time, by sync tags.
 
-`fit` makes a `ClockSync`; its ``apply`` puts detections on the common clock.
+`fit` makes a `ClockSync`; its ``apply`` puts detections on the common clock. `rough` does with the
+animals' own tags, to about a second.
 """
 
 from maloc.sync._fit import fit
+from maloc.sync._rough import rough
 from maloc.sync.clocks import ClockSync, SyncResiduals
 
-__all__ = ["ClockSync", "SyncResiduals", "fit"]
+__all__ = ["ClockSync", "SyncResiduals", "fit", "rough"]
