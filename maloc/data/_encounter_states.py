@@ -71,11 +71,8 @@ def _arrays(history: EncounterHistory, states: States, gaps, pad: bool) -> Encou
 
 def _interval(history: EncounterHistory) -> float:
     """Time between pings, s: the schedule's, else the median step; 1 where there is none."""
-    schedule = history.schedule
-    if schedule.kind == "random":
-        return (schedule.lo + schedule.hi) / 2
-    if schedule.kind != "unknown":
-        return schedule.lo
+    if history.schedule.kind != "unknown":
+        return history.schedule.mean
     steps = np.diff(history.time)[np.diff(history.tag) == 0]
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else 1.0

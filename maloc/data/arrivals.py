@@ -40,15 +40,16 @@ class Schedule:
 
     Parameters
     ----------
-    kind : {"unknown", "random", "stable"}
-        "random": uniform between `lo` and `hi`; "stable": mean `lo` and standard deviation `hi`.
+    kind : {"unknown", "random", "stable", "poisson"}
+        "random": uniform between `lo` and `hi`; "stable": mean `lo` and standard deviation `hi`;
+        "poisson": cues at random times (calls, blows), mean interval `lo`.
     lo, hi : float
         Seconds; NaN when unknown.
 
     Raises
     ------
     InputError
-        If the kind is not one of the three or the numbers cannot be an interval.
+        If the kind is none of these or the numbers cannot be an interval.
     """
 
     kind: str = "unknown"
@@ -56,11 +57,11 @@ class Schedule:
     hi: float = nan
 
     def __post_init__(self) -> None:
-        if self.kind not in ("unknown", "random", "stable"):
-            raise InputError(f"schedule '{self.kind}' is not unknown, random or stable")
+        if self.kind not in ("unknown", "random", "stable", "poisson"):
+            raise InputError(f"schedule '{self.kind}' is not unknown, random, stable or poisson")
         if self.kind == "unknown":
             return
-        lo, hi = float(self.lo), float(self.hi)
+        lo, hi = float(self.lo), 0.0 if self.kind == "poisson" else float(self.hi)
         if not (isfinite(lo) and isfinite(hi) and lo > 0 and hi >= 0):
             raise InputError(f"burst interval {lo:g}, {hi:g} s is not a pair of positive numbers")
         if self.kind == "random" and hi < lo:
@@ -68,14 +69,19 @@ class Schedule:
 
     def __str__(self) -> str:
         stable = f"{self.lo:g} s with sd {self.hi:g} s"
-        return {"random": f"{self.lo:g} to {self.hi:g} s", "stable": stable}.get(
-            self.kind, self.kind
-        )
+        poisson = f"{self.lo:g} s on average, at random times"
+        known = {"random": f"{self.lo:g} to {self.hi:g} s", "stable": stable, "poisson": poisson}
+        return known.get(self.kind, self.kind)
 
     @property
     def shortest(self) -> float:
-        """Shortest interval between emissions that is possible, s; NaN when unknown."""
+        """Shortest interval between emissions that is possible, s; NaN when unknown or any."""
         return self.lo if self.kind == "random" else self.lo - 6 * self.hi
+
+    @property
+    def mean(self) -> float:
+        """Mean interval, s; NaN when unknown."""
+        return (self.lo + self.hi) / 2 if self.kind == "random" else self.lo
 
 
 @dataclass(frozen=True, repr=False, eq=False)
