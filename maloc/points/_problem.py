@@ -18,7 +18,7 @@ from maloc.data.arrivals import ArrivalTimes
 __all__ = ["Found", "Problem", "bounds", "in_batches", "problem_of", "spread_columns"]
 
 _WIDTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-_BATCHES = (64, 512, 4096)
+_BATCHES = (64, 1024)
 
 
 class Problem(NamedTuple):
@@ -58,16 +58,18 @@ class Found(NamedTuple):
         Metres; NaN where none.
     emission : array (P,)
         Emission's range, m: sound speed x (emission - first arrival), so mostly negative.
-    inlier : array (P, M) bool
-        Arrivals used, in the problem's order.
+    used : array (P, M) bool
+        Arrivals that the position rests on, in the problem's order.
     ambiguous : array (P,) bool
-        Two places fit.
+        The arrivals do not settle the place.
     alternative : array (P, d)
-        The second; NaN where none.
+        Another place that fits; NaN where none.
     why : array (P,) of str
         Why there is no position; "" where there is one.
     covariance : array (P, d, d) or None
-        None: by `maloc.points.covariance.covariance` from the inliers.
+        None: by `maloc.points.covariance.covariance` from those used.
+    agreed : array (P, M) bool or None
+        Arrivals that agree whichever of two places is right; None: those used.
     extra : dict
         Arrays (P, ...) for `Points.extra`.
     arrival_extra : dict
@@ -76,11 +78,12 @@ class Found(NamedTuple):
 
     position: np.ndarray
     emission: np.ndarray
-    inlier: np.ndarray
+    used: np.ndarray
     ambiguous: np.ndarray
     alternative: np.ndarray
     why: np.ndarray
     covariance: np.ndarray | None = None
+    agreed: np.ndarray | None = None
     extra: dict[str, np.ndarray] = {}
     arrival_extra: dict[str, np.ndarray] = {}
 

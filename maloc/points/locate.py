@@ -96,7 +96,8 @@ def _points(
     mine = problem.rows(rows)
     cov = found.covariance
     if cov is None:
-        cov = covariance(found.position, mine.place, found.inlier, mine.sigma)
+        cov = covariance(found.position, mine.place, found.used, mine.sigma)
+    agreed = found.used if found.agreed is None else found.agreed
     first = np.where(toa.heard, toa.toa, np.inf).min(axis=1)
     first = np.where(np.isfinite(first), first, np.nan)
     why = np.array([_too_few(k, d) for k in toa.n_heard.tolist()], dtype="U64")
@@ -113,7 +114,8 @@ def _points(
         position=whole(found.position),
         covariance=whole(cov),
         emission=first + whole(found.emission) / toa.sound_speed,
-        inlier=whole(spread_columns(found.inlier, column[rows], r, False)),
+        inlier=whole(spread_columns(agreed, column[rows], r, False)),
+        n_used=whole(found.used.sum(axis=1)),
         ambiguous=whole(found.ambiguous),
         alternative=whole(found.alternative),
         residual_rms=whole(_rms(mine, found)),
@@ -136,11 +138,11 @@ def _too_few(count: int, d: int) -> str:
 
 
 def _rms(problem: Problem, found: Found) -> np.ndarray:
-    """Root mean square of the inliers' residuals, m."""
+    """Root mean square of the residuals of the arrivals used, m."""
     d = found.position.shape[1]
     offset = found.position[:, None] - problem.place[..., :d]
     square = (offset**2).sum(-1) + (0.0 if d == 3 else problem.place[..., 2] ** 2)
     residual = problem.range - found.emission[:, None] - np.sqrt(square)
-    used = found.inlier.sum(axis=1)
-    total = np.where(found.inlier, residual**2, 0.0).sum(axis=1)
+    used = found.used.sum(axis=1)
+    total = np.where(found.used, residual**2, 0.0).sum(axis=1)
     return np.where(used > 0, np.sqrt(total / np.maximum(used, 1)), np.nan)

@@ -29,10 +29,14 @@ class Points:
         there is no position.
     emission : array (P,)
         When the ping was sent, s from the data set's origin; NaN where unknown.
+    n_used : array (P,) of int64
+        Number of arrivals that the position rests on.
     inlier : array (P, R) bool
-        Arrivals that the position rests on.
+        Arrivals that agree with the position and, where there is one, with the alternative too.
+        None where d + 1 agree (as any d + 1 do) and others do not.
     ambiguous : array (P,) bool
-        True where `alternative` fits as well and nothing told the two apart.
+        True where the arrivals do not settle the place: `alternative` fits as well and nothing
+        told the two apart, or no more than d + 1 of several arrivals agree.
     alternative : array (P, d)
         The second place that fits, m; NaN where there is none. Kept also where the ambiguity
         was resolved.
@@ -65,6 +69,7 @@ class Points:
     position: np.ndarray
     covariance: np.ndarray
     emission: np.ndarray
+    n_used: np.ndarray
     inlier: np.ndarray
     ambiguous: np.ndarray
     alternative: np.ndarray
@@ -101,6 +106,7 @@ class Points:
             "position": position,
             "covariance": covariance,
             "emission": _arrays.floats(self.emission, "emission", (n,)),
+            "n_used": _arrays.integers(self.n_used, "n_used", (n,)),
             "inlier": inlier,
             "ambiguous": ambiguous,
             "alternative": _arrays.floats(self.alternative, "alternative", (n, d)),
@@ -119,12 +125,7 @@ class Points:
     @property
     def located(self) -> np.ndarray:
         """Whether each ping has a position, (P,) bool."""
-        return np.isfinite(self.position).all(axis=1)
-
-    @property
-    def n_used(self) -> np.ndarray:
-        """Number of arrivals that each position rests on, (P,)."""
-        return self.inlier.sum(axis=1)
+        return np.asarray(np.isfinite(self.position).all(axis=1))
 
     @property
     def sd(self) -> np.ndarray:

@@ -1,0 +1,323 @@
+"""Consensus: hypotheses from minimal sets, the one that most arrivals agree with, least squares.
+
+References
+----------
+Arnon et al. (2023) Robust Time-of-Arrival Location Estimation Algorithms for Wildlife Tracking.
+Sensors 23: 9460, sections 2.1 and 2.2.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import combinations
+from math import comb
+from typing import Any
+
+import numpy as np
+
+from maloc._jax import jnp
+from maloc.points._closed import minimal
+from maloc.points._lm import distances, fit
+from maloc.points._problem import Found, Problem, in_batches
+
+__all__ = ["consensus", "hypotheses", "refine", "sets", "truncated_cost"]
+
+
+@cache
+def sets(width: int, size: int, most: int) -> np.ndarray:
+    """Index sets (K, size) of the first arrivals, ordered by the worst of each (colexicographic).
+
+    Arrivals stand best first, so sets of small variance come first, and the sets of m arrivals
+    come before any with a later one. `most` bounds K.
+    """
+    last = size
+    while last < width and comb(last, size) < most:
+        last += 1
+    found = sorted(combinations(range(last), size), key=lambda s: s[::-1])
+    return np.array(found[:most], dtype=np.int32).reshape(-1, size)
+
+
+def hypotheses(ping: Problem, d: int, most: int) -> tuple[Any, Any, Any]:
+    """Both roots of the minimal sets of one ping.
+
+    Parameters
+    ----------
+    ping : Problem
+        One ping of width M.
+    d : int
+        2 or 3.
+    most : int
+        Largest number of sets.
+
+    Returns
+    -------
+    position : array (d, 2 K)
+        Metres; NaN where there is none.
+    emission : array (2 K,)
+        Range, m.
+    exact : array (2 K,) bool
+        Solves its set's equations.
+    """
+    chosen = sets(ping.heard.shape[0], d + 1, most)
+    arrival = ping.range[chosen.T]
+    place = jnp.moveaxis(ping.place[chosen.T], 2, 1)
+    heard = jnp.all(ping.heard[chosen.T], axis=0)
+    roots = minimal(arrival, place, d)
+    position = jnp.where(heard[None, None], roots.position, jnp.nan)
+    return (
+        jnp.concatenate([position[0], position[1]], axis=1),
+        roots.emission.reshape(-1),
+        (roots.exact & heard[None]).reshape(-1),
+    )
+
+
+def truncated_cost(z: Any, heard: Any, delta: Any, early: Any) -> Any:
+    """Sum over arrivals (axis 0) of squared weighted residuals, no more than delta^2 each.
+
+    Early arrivals beyond `delta` cost 2 log `early` more: no detour is shorter than the direct
+    path.
+    """
+    cost = jnp.minimum(z**2, delta**2) + jnp.where(z < -delta, 2 * jnp.log(early), 0.0)
+    return jnp.sum(jnp.where(heard, cost, 0.0), axis=0)
+
+
+def _weighted(ping: Problem, position: Any, emission: Any) -> Any:
+    """Residuals in standard deviations (M, H) of hypotheses (d, H) with their emissions (H,)."""
+    square = sum((position[i][None] - ping.place[:, i, None]) ** 2 for i in range(len(position)))
+    if len(position) == 2:
+        square = square + ping.place[:, 2, None] ** 2
+    return (ping.range[:, None] - emission[None] - jnp.sqrt(square)) / ping.sigma[:, None]
+
+
+def rank(z: Any, heard: Any, distance: Any, allowed: Any, delta: Any, early: Any) -> Any:
+    """Index of the best hypothesis: largest consensus, nearest to the prior, smallest residual.
+
+    Parameters
+    ----------
+    z : array (M, H)
+        Residuals in standard deviations.
+    heard : array (M,) bool
+        Arrivals.
+    distance : array (H,)
+        To the prior position, m; 0 where there is none.
+    allowed : array (H,) bool
+        Others are never chosen (as long as one is allowed).
+    delta : float
+        Standard deviations beyond which an arrival disagrees.
+    early : float
+        Above 1: of two sets of one size, the one with fewer early outliers is better.
+
+    Returns
+    -------
+    array ()
+    """
+    agrees = (abs(z) <= delta) & heard[:, None]
+    too_early = jnp.sum((z < -delta) & heard[:, None], axis=0) * (early > 1)
+    size = jnp.where(allowed, jnp.sum(agrees, axis=0) * len(heard) - too_early, -9999)
+    worst = jnp.max(jnp.where(agrees, abs(z), 0.0), axis=0)
+    biggest = size == jnp.max(size)
+    least = jnp.min(jnp.where(biggest, worst, jnp.inf))
+    # the seed: nearness to the prior decides while the largest residuals differ by at most 1
+    close = biggest & (worst <= least + 1)
+    nearest = jnp.min(jnp.where(close, distance, jnp.inf))
+    tied = close & (distance <= nearest)
+    return jnp.argmin(jnp.where(tied, worst, jnp.inf))
+
+
+def refine(
+    ping: Problem, position: Any, emission: Any, delta: Any, early: Any, rounds: int
+) -> tuple:
+    """Least squares on the arrivals that agree, which are classified anew after each round.
+
+    Returns
+    -------
+    position (d,), emission (), inlier (M,) bool, truncated cost ()
+    """
+    d = len(position)
+    variance = 1 / ping.sigma**2
+    for _ in range(rounds):
+        z = (ping.range - emission - distances(ping.place, position)) / ping.sigma
+        inlier = (abs(z) <= delta) & ping.heard
+        enough = jnp.sum(inlier) > d
+        found = fit(ping, position, jnp.where(inlier & enough, variance, 0.0))
+        position = jnp.where(enough, found.position, position)
+        emission = jnp.where(enough, found.emission, emission)
+    z = (ping.range - emission - distances(ping.place, position)) / ping.sigma
+    inlier = (abs(z) <= delta) & ping.heard
+    return position, emission, inlier, truncated_cost(z, ping.heard, delta, early)
+
+
+def _inside(position: Any, region: Any) -> Any:
+    """Whether positions (2 or 3, H) lie in a polygon (V, 2): even-odd rule."""
+    x, y = position[0][None], position[1][None]
+    a, b = region, jnp.roll(region, -1, axis=0)
+    (ax, ay), (bx, by) = (a[:, 0, None], a[:, 1, None]), (b[:, 0, None], b[:, 1, None])
+    crosses = (ay > y) != (by > y)
+    rise = jnp.where(by == ay, 1.0, by - ay)
+    return jnp.sum(crosses & (x < ax + (y - ay) * (bx - ax) / rise), axis=0) % 2 == 1
+
+
+def _allowed(ping: Problem, position: Any, reach: Any, region: Any) -> Any:
+    """Hypotheses (d, H) within reach of a receiver that heard the ping, and in the region."""
+    square = sum((position[i][None] - ping.place[:, i, None]) ** 2 for i in range(2))
+    near = jnp.min(jnp.where(ping.heard[:, None], square, jnp.inf), axis=0) <= reach**2
+    near = near & jnp.isfinite(position[0])
+    return near & _inside(position, region) if region.shape[0] else near
+
+
+def _consensus(
+    ping: Problem,
+    prior: Any,
+    delta: Any,
+    early: Any,
+    reach: Any,
+    apart: Any,
+    region: Any,
+    *,
+    d: int,
+    most: int,
+    rounds: int,
+) -> tuple[dict, dict]:
+    position, emission, exact = hypotheses(ping, d, most)
+    z = _weighted(ping, position, emission)
+    allowed = _allowed(ping, position, reach, region)
+    known = jnp.isfinite(prior[0])
+    to_prior = jnp.sqrt(sum((position[i] - prior[i]) ** 2 for i in range(2)))
+    to_prior = jnp.where(known & allowed, to_prior, 0.0)
+    best = rank(z, ping.heard, to_prior, allowed, delta, early)
+    first = refine(ping, position[:, best], emission[best], delta, early, rounds)
+    # the rival: the best hypothesis that is another place
+    gap = jnp.sqrt(sum((position[i] - first[0][i]) ** 2 for i in range(d)))
+    gap0 = jnp.sqrt(sum((position[i] - position[i, best]) ** 2 for i in range(d)))
+    other = allowed & (gap > apart) & (gap0 > apart)
+    second = rank(z, ping.heard, to_prior, other, delta, early)
+    rival = refine(ping, position[:, second], emission[second], delta, early, rounds)
+    return {
+        "position": jnp.stack([first[0], rival[0]]),
+        "emission": jnp.stack([first[1], rival[1]]),
+        "cost": jnp.stack([first[3], rival[3]]),
+        "any": jnp.stack([jnp.any(allowed), jnp.any(other)]),
+        "exact": jnp.any(exact),
+    }, {"inlier": jnp.stack([first[2], rival[2]], axis=1)}
+
+
+def consensus(
+    problem: Problem,
+    d: int,
+    *,
+    delta: float = 3.0,
+    early: float = 10.0,
+    reach: float = np.inf,
+    region: np.ndarray | None = None,
+    prior: np.ndarray | None = None,
+    most: int = 56,
+    apart: float = 10.0,
+    evidence: float = 6.0,
+    rounds: int = 2,
+) -> Found:
+    """Robust positions by consensus.
+
+    Parameters
+    ----------
+    problem : Problem
+        P pings of at least d + 1 arrivals.
+    d : int
+        2 or 3.
+    delta : float
+        An arrival whose residual is beyond `delta` standard deviations is an outlier.
+    early : float
+        How many times rarer an outlier is that comes too early than one too late (1: as frequent,
+        as with clocks that jump).
+    reach : float
+        Largest distance (m) from the nearest receiver that heard the ping.
+    region : array (V, 2), optional
+        Polygon, m, that the tag cannot have left.
+    prior : array (P, 2), optional
+        Where the tag is thought to have been, m; NaN where unknown. Decides between hypotheses
+        with equally many agreeing arrivals.
+    most : int
+        Largest number of minimal sets a ping.
+    apart : float
+        Two places nearer than this (m) are one.
+    evidence : float
+        Twice the log of the likelihood ratio up to which two places fit equally well (6: 20 : 1).
+    rounds : int
+        Rounds of least squares and classification.
+    """
+    n = len(problem.heard)
+    prior = np.full((n, 2), np.nan) if prior is None else np.asarray(prior, float)
+    polygon = np.zeros((0, 2)) if region is None else np.asarray(region, float)
+    value, each = in_batches(
+        _consensus,
+        problem,
+        (prior,),
+        (delta, early, reach, apart, polygon),
+        static={"d": d, "most": most, "rounds": rounds},
+    )
+    return choose(problem, value, each["inlier"], d, reach, polygon, prior, apart, evidence)
+
+
+def choose(
+    problem: Problem,
+    value: dict[str, np.ndarray],
+    inlier: np.ndarray,
+    d: int,
+    reach: float,
+    region: np.ndarray,
+    prior: np.ndarray,
+    apart: float,
+    evidence: float,
+) -> Found:
+    """Choose between two refined places a ping (value's arrays (P, 2, ...)), or keep both."""
+    position, emission, cost = value["position"], value["emission"], value["cost"]
+    n = len(position)
+    size = inlier.sum(axis=1)  # (P, 2)
+    ok = value["any"] & np.isfinite(position).all(-1) & (size > d)
+    nearest = np.full((n, 2), np.inf)
+    for k in range(2):
+        away = np.linalg.norm(position[:, k, None, :2] - problem.place[..., :2], axis=-1)
+        nearest[:, k] = np.where(problem.heard, away, np.inf).min(axis=1)
+    near = nearest <= reach
+    if len(region):
+        from matplotlib.path import Path
+
+        inside = Path(region).contains_points(position[..., :2].reshape(-1, 2)).reshape(n, 2)
+        near &= inside
+    fits = ok & near
+    row = np.arange(n)
+    score = np.where(fits, cost, np.inf)
+    better = (score[:, 1] < score[:, 0]).astype(int)
+    one, two = better, 1 - better
+    gap = np.linalg.norm(position[:, 0] - position[:, 1], axis=-1)
+    with np.errstate(invalid="ignore"):
+        tie = fits.all(axis=1) & (gap > apart) & (np.abs(cost[:, 1] - cost[:, 0]) < evidence)
+        to_prior = np.linalg.norm(position[..., :2] - prior[:, None], axis=-1)
+    told = tie & np.isfinite(to_prior).all(axis=1)
+    nearer = np.where(to_prior[:, 1] < to_prior[:, 0], 1, 0)
+    one = np.where(told, nearer, one)
+    two = 1 - one
+    some = fits[row, one]
+    why = np.where(
+        some,
+        "",
+        np.where(
+            ok.any(axis=1),
+            "the arrivals point out of reach",
+            np.where(value["any"][:, 0], "no arrivals agree", "no place fits three arrivals"),
+        ),
+    )
+    keep = some[:, None]
+    used = inlier[row, :, one] & keep
+    tie = tie & some
+    # d + 1 arrivals agree on some place whatever they are: where others disagree that is no proof
+    unproven = some & (used.sum(axis=1) == d + 1) & (problem.heard.sum(axis=1) > d + 1)
+    agreed = used & (inlier[row, :, two] | ~tie[:, None]) & ~unproven[:, None]
+    return Found(
+        np.where(keep, position[row, one], np.nan),
+        np.where(some, emission[row, one], np.nan),
+        used,
+        tie | unproven,
+        np.where(tie[:, None], position[row, two], np.nan),
+        why,
+        agreed=agreed,
+    )
