@@ -6,90 +6,144 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maloc._jax import jax
-from maloc.data.encounter_data import EncounterData
+from maloc.data._encounter_gaps import Silence, find_gaps, widened
 from maloc.data.encounters import EncounterHistory
-from maloc.data.model_data import bucket
+from maloc.errors import InputError
 
-__all__ = ["model_data"]
+__all__ = ["States", "chain", "considered", "covariates", "interpolate", "middles"]
 
-_MIN_STEP = 1e-3  # s; two pings at one instant still need a step
+_SAME = 1e-6  # s; a node so near a ping is the ping's own state
 
 
 class States(NamedTuple):
-    """Time (S,) s, tag (S,), and the history's row (S,), -1 at a node."""
+    """States of the chain, and the gaps between pings.
+
+    Attributes
+    ----------
+    time, tag : array (S,)
+    row : array (S,) of int
+        Row of the history; -1 at a node of a gap.
+    gaps : list of (Silence, nodes (K,) s after the gap's start, states (K,))
+    """
 
     time: np.ndarray
     tag: np.ndarray
     row: np.ndarray
+    gaps: list[tuple[Silence, np.ndarray, np.ndarray]]
 
 
-def model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
-    """Arrays of a history for the models (see `EncounterHistory.to_model_data`)."""
-    states = States(history.time, history.tag, np.arange(len(history)))
-    return _arrays(history, states, None, pad)
+def chain(history: EncounterHistory) -> States:
+    """Pings and, where missed pings are summed over, nodes inside the gaps, in order of time."""
+    found = find_gaps(history)
+    nodes: list[np.ndarray] = []
+    if found:
+        from maloc.renewal import gap_nodes, interval_law
+
+        law = interval_law(widened(history))
+        nodes = [np.asarray(gap_nodes(g.duration, g.kind, law)) for g in found]
+    time, tag = [history.time], [history.tag]
+    row = [np.arange(len(history))]
+    for gap, at in zip(found, nodes, strict=True):
+        new = gap.start + at[_fresh(history, gap, at)]
+        time.append(new)
+        tag.append(np.full(len(new), gap.tag))
+        row.append(np.full(len(new), -1))
+    times, tags, rows = (np.concatenate(part) for part in (time, tag, row))
+    order = np.lexsort((times, tags))
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    states, used = [], len(history)
+    for gap, at in zip(found, nodes, strict=True):
+        fresh = _fresh(history, gap, at)
+        mine = np.where(at < gap.duration / 2, gap.before, gap.after)
+        mine[fresh] = used + np.arange(fresh.sum())
+        used += int(fresh.sum())
+        states.append((gap, at, place[mine]))
+    return States(times[order], tags[order], rows[order], states)
 
 
-def _arrays(history: EncounterHistory, states: States, gaps, pad: bool) -> EncounterData:
-    s, r, n = len(states.time), len(history.receivers), len(history.tags)
-    size = bucket(s) if pad else s
-    j = -(-r // 4) * 4 if pad else r
-    more, wider = size - s, j - r
-    ping = states.row >= 0
-    heard = ping[:, None] & history.heard[states.row]
-    listening = history.listening_at(states.time) | heard
-    xy = history.receivers.xy
-    xy = np.concatenate([xy, np.repeat(xy.mean(axis=0)[None], wider, axis=0)])
-    initial = _initial(history, states)
-    step = np.where(np.diff(states.tag) == 0, np.maximum(np.diff(states.time), _MIN_STEP), 1.0)
-    last = states.time[-1]
-    grow = ((0, more), (0, wider))
-    data = EncounterData(
-        time=np.append(states.time, last + np.arange(1.0, more + 1)),
-        dt=np.append(step, np.ones(more)),
-        tag=np.append(states.tag, np.full(more, n)).astype(np.int32),
-        ping=np.pad(ping, (0, more)),
-        heard=np.pad(heard, grow),
-        listening=np.pad(listening, grow),
-        receiver=np.broadcast_to(np.arange(j, dtype=np.int32), (size, j)),
-        near_xy=np.broadcast_to(xy, (size, j, 2)),
-        covariates=np.zeros((size, j, 0)),
-        initial=np.pad(initial, ((0, more), (0, 0)), mode="edge"),
-        low=history.low,
-        high=history.high,
-        edge=np.asarray(history.edge),
-        spacing=np.asarray(history.spacing),
-        interval=np.asarray(_interval(history)),
-        valid=np.arange(size) < s,
-        present=np.arange(j) < r,
-        receiver_xy=xy,
-        gaps=gaps,
-        n_tags=n,
-    )
-    return jax.device_put(data)  # at once: one by one, each would compile a copy
+def _fresh(history: EncounterHistory, gap: Silence, at: np.ndarray) -> np.ndarray:
+    """Which nodes need a state of their own, (K,)."""
+    old = (gap.before >= 0) & (at <= _SAME)
+    return ~(old | ((gap.after >= 0) & (at >= gap.duration - _SAME)))
 
 
-def _interval(history: EncounterHistory) -> float:
-    """Time between pings, s: the schedule's, else the median step; 1 where there is none."""
-    if history.schedule.kind != "unknown":
-        return history.schedule.mean
-    steps = np.diff(history.time)[np.diff(history.tag) == 0]
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else 1.0
+def interpolate(history: EncounterHistory, states: States, values: np.ndarray) -> np.ndarray:
+    """Values (P, ...) at the pings, linear in time between those of a tag, at states (S, ...)."""
+    flat = values.reshape(len(values), -1)
+    out = np.empty((len(states.time), flat.shape[1]))
+    for tag, (i, j) in enumerate(zip(history.first_rows, history.last_rows, strict=True)):
+        mine = states.tag == tag
+        t = history.time[i : j + 1]
+        right = np.clip(np.searchsorted(t, states.time[mine]), 1, max(len(t) - 1, 1))
+        right = np.minimum(right, len(t) - 1)
+        left = np.maximum(right - 1, 0)
+        step = np.maximum(t[right] - t[left], _SAME)
+        share = np.clip((states.time[mine] - t[left]) / step, 0.0, 1.0)[:, None]
+        out[mine] = (1 - share) * flat[i + left] + share * flat[i + right]
+    at_ping = states.row >= 0
+    out[at_ping] = flat[states.row[at_ping]]
+    return out.reshape(-1, *values.shape[1:])
 
 
-def _initial(history: EncounterHistory, states: States) -> np.ndarray:
-    """Middle of the hearing receivers, linear in time between heard pings, (S, 2)."""
-    out = np.empty((len(states.time), 2))
+def middles(history: EncounterHistory) -> np.ndarray:
+    """Middle of the hearing receivers at each ping, linear in time where nobody heard, (P, 2)."""
+    out = np.empty((len(history), 2))
     out[:] = history.receivers.xy.mean(axis=0)
     n = history.n_heard
     middle = history.heard @ history.receivers.xy / np.maximum(n, 1)[:, None]
-    for tag in range(len(history.tags)):
-        rows = np.flatnonzero((history.tag == tag) & (n > 0))
-        mine = states.tag == tag
+    for i, j in zip(history.first_rows, history.last_rows + 1, strict=True):
+        rows = i + np.flatnonzero(n[i:j])
         if len(rows):
             for axis in (0, 1):
-                out[mine, axis] = np.interp(
-                    states.time[mine], history.time[rows], middle[rows, axis]
-                )
+                at = np.interp(history.time[i:j], history.time[rows], middle[rows, axis])
+                out[i:j, axis] = at
     return np.clip(out, history.low, history.high)
+
+
+def considered(history: EncounterHistory, states: States) -> np.ndarray:
+    """Which deployments are considered at each state, (S, R)."""
+    r = len(history.receivers)
+    if history.near is None or history.reach is None:
+        return np.ones((len(states.time), r), bool)
+    at = interpolate(history, states, history.near)
+    away = np.hypot(*(at[:, None] - history.receivers.xy[None]).transpose(2, 0, 1))
+    heard = (states.row >= 0)[:, None] & history.heard[states.row]
+    return (away <= history.reach) | heard
+
+
+def covariates(history: EncounterHistory, states: States) -> np.ndarray:
+    """Standardised covariates at each state and deployment, (S, R, C); missing = average."""
+    out = np.zeros((len(states.time), len(history.receivers), len(history.covariates)))
+    for c, (name, value) in enumerate(history.covariates.items()):
+        if callable(value):
+            known = _by_both(history, name, value(history.time), len(history))
+            here = _by_both(history, name, value(states.time), len(states.time))
+        else:
+            known = _by_both(history, name, value, len(history))
+            here = interpolate(history, states, known)
+        counts = np.isfinite(known) & history.listening
+        mean, sd = (float(f(known[counts])) if counts.any() else 0.0 for f in (np.mean, np.std))
+        if not sd > 0:
+            raise InputError(f"covariate '{name}' has one value everywhere: it tells nothing")
+        out[:, :, c] = np.nan_to_num((here - mean) / sd)
+    return out
+
+
+def _by_both(history: EncounterHistory, name: str, value: object, n: int) -> np.ndarray:
+    """A covariate's values as (n, R)."""
+    got = np.asarray(value, float)
+    r = len(history.receivers)
+    if got.shape == (n,) and n != r:
+        got = got[:, None]
+    elif got.ndim == 1 and n == r:
+        raise InputError(
+            f"covariate '{name}' has {n} values: as many pings as receivers",
+            mend=f"give it as ({n}, 1) for pings or (1, {r}) for receivers",
+        )
+    try:
+        return np.broadcast_to(got, (n, r))
+    except ValueError:
+        raise InputError(
+            f"covariate '{name}' has shape {got.shape}, not ({r},), ({n},) or ({n}, {r})"
+        ) from None

@@ -14,13 +14,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from maloc._jax import jax
+from maloc.data.model_data import bucket
 
 if TYPE_CHECKING:
     from maloc.data.encounters import EncounterHistory
 
 Numbers = Array | np.ndarray
 
-__all__ = ["EncounterData", "as_encounter_data"]
+__all__ = ["EncounterData", "as_encounter_data", "to_model_data"]
+
+_MIN_STEP = 1e-3  # s; two pings at one instant still need a step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,3 +107,90 @@ jax.tree_util.register_dataclass(
 def as_encounter_data(history: EncounterHistory | EncounterData) -> EncounterData:
     """Model arrays of `history`: as they are, or made without padding from a history."""
     return history if isinstance(history, EncounterData) else history.to_model_data(pad=False)
+
+
+def to_model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
+    """Arrays of `history`, padded to a bucket unless ``pad`` is false.
+
+    Parameters
+    ----------
+    history : EncounterHistory
+        P pings of N tags, R deployments.
+    pad : bool
+        Pad states, receivers and gaps, so that one compilation serves many data sets.
+
+    Returns
+    -------
+    EncounterData
+    """
+    from maloc.data import _encounter_states as build
+
+    states = build.chain(history)
+    s, r, n = len(states.time), len(history.receivers), len(history.tags)
+    more = bucket(s) - s if pad else 0
+    j = -(-r // 4) * 4 if pad else r
+    ping = states.row >= 0
+    heard = ping[:, None] & history.heard[states.row]
+    take = build.considered(history, states)
+    listening = (history.listening_at(states.time) | heard) & take
+    if take.all():
+        k, column = j, np.broadcast_to(np.arange(r), (s, r))
+    else:
+        most = int(take.sum(axis=1).max())
+        k = -(-most // 4) * 4 if pad else most
+        column = np.argsort(~take, axis=1, kind="stable")[:, :k]
+
+    def columns(values: np.ndarray) -> np.ndarray:
+        """The considered columns of (S, R, ...), padded."""
+        at = column.reshape(*column.shape, *[1] * (values.ndim - 2))
+        wide = [(0, more), (0, k - column.shape[1]), *[(0, 0)] * (values.ndim - 2)]
+        return np.pad(np.take_along_axis(values, at, axis=1), wide)
+
+    xy = history.receivers.xy
+    xy = np.concatenate([xy, np.repeat(xy.mean(axis=0)[None], j - r, axis=0)])
+    receiver = columns(np.broadcast_to(np.arange(r), (s, r)))
+    receiver[:, column.shape[1] :] = np.arange(column.shape[1], k) % j
+    start = build.interpolate(history, states, build.middles(history))
+    step = np.where(np.diff(states.tag) == 0, np.maximum(np.diff(states.time), _MIN_STEP), 1.0)
+    data = EncounterData(
+        time=np.append(states.time, states.time[-1] + np.arange(1.0, more + 1)),
+        dt=np.append(step, np.ones(more)),
+        tag=np.append(states.tag, np.full(more, n)).astype(np.int32),
+        ping=np.pad(ping, (0, more)),
+        heard=columns(heard),
+        listening=columns(listening),
+        receiver=receiver.astype(np.int32),
+        near_xy=xy[receiver],
+        covariates=columns(build.covariates(history, states)),
+        initial=np.pad(start, ((0, more), (0, 0)), mode="edge"),
+        low=history.low,
+        high=history.high,
+        edge=np.asarray(history.edge),
+        spacing=np.asarray(history.spacing),
+        interval=np.asarray(_interval(history)),
+        valid=np.arange(s + more) < s,
+        present=np.arange(j) < r,
+        receiver_xy=xy,
+        gaps=_gaps(history, states.gaps, pad),
+        n_tags=n,
+    )
+    return jax.device_put(data)  # at once: one by one, each would compile a copy
+
+
+def _gaps(history: EncounterHistory, found: list, pad: bool) -> Any:
+    if not found:
+        return None
+    from maloc.data._encounter_gaps import widened
+    from maloc.renewal import Gap, interval_law, pack_gaps
+
+    gaps = [Gap(g.kind, g.duration, nodes, at, g.first_at_start) for g, nodes, at in found]
+    return pack_gaps(gaps, interval_law(widened(history)), pad=pad)
+
+
+def _interval(history: EncounterHistory) -> float:
+    """Time between pings, s: the schedule's, else the median step; 1 where there is none."""
+    if history.schedule.kind != "unknown":
+        return history.schedule.mean
+    steps = np.diff(history.time)[np.diff(history.tag) == 0]
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else 1.0

@@ -270,15 +270,80 @@ class EncounterHistory:
             },
         )
 
+    def prune(self, positions: np.ndarray | None = None, *, reach: float) -> EncounterHistory:
+        """Return a history that considers at each state only receivers within reach.
+
+        Receivers that heard a ping are always considered at it. Between pings positions are
+        taken as linear in time.
+
+        Parameters
+        ----------
+        positions : array (P, 2), optional
+            Rough position at each ping, m; the middle of the receivers that heard it by default.
+        reach : float
+            m. Choose it so that `prune_bound` is small, .01 say.
+
+        Raises
+        ------
+        InputError
+            If the reach is not positive, or positions have another shape.
+        """
+        if not (np.isfinite(reach) and reach > 0):
+            raise InputError(f"a reach of {reach:g} m is not positive")
+        from maloc.data._encounter_states import middles
+
+        near = middles(self) if positions is None else positions
+        return self.replace(near=near, reach=float(reach))
+
+    def prune_bound(
+        self,
+        scale: float,
+        p0: float = 1.0,
+        margin: float = 0.0,
+        curve: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> float:
+        """Return the most that pruning can change the log likelihood by.
+
+        A receiver left out at distance d >= reach and not heard adds log(1 - p(d)) to a ping's log
+        likelihood; with whole-ping loss, log(pi + (1 - pi) prod (1 - p)) changes by no more. If
+        the path stays within `margin` of the positions pruned by and p falls with distance, then
+
+            |error| <= sum over pings of e + sum over gaps of n max e,
+            e(state) = sum over receivers left out of -log(1 - p(d - margin)),
+
+        n the most pings the gap can hold, e taken at its nodes: a gap's likelihood is a sum over
+        counts m <= n of integrals of m chances of silence, each changed by a factor exp(-e) at
+        most. (Poisson: n is the mean number of pings in the gap, by its closed form.)
+
+        Parameters
+        ----------
+        scale : float
+            Detection scale of the half-normal p0 exp(-d^2 / (2 scale^2)), m.
+        p0 : float
+            Its height.
+        margin : float
+            How far the path may be from the positions, m.
+        curve : callable, optional
+            Detection probability of distances (m), falling, instead of the half-normal.
+
+        Raises
+        ------
+        InputError
+            If the numbers are no detection function.
+        """
+        from maloc.data._encounter_prune import bound
+
+        return bound(self, scale, p0, margin, curve)
+
     def to_model_data(self, pad: bool = True) -> EncounterData:
         """Return the arrays that models take, padded or not.
 
         Where the schedule is known but not every ping (`summed`), gaps get nodes at which the path
         is needed, and `gaps` says how to sum the missed pings out.
         """
-        from maloc.data._encounter_states import model_data
+        from maloc.data.encounter_data import to_model_data
 
-        return model_data(self, pad)
+        return to_model_data(self, pad)
 
     def __repr__(self) -> str:
         n = len(self.tags)
