@@ -11,7 +11,16 @@ from maloc.data._time import NS
 from maloc.data.arrivals import DEFAULT_SOUND_SPEED, SetAside
 from maloc.errors import InputError
 
-__all__ = ["all_aside", "group", "match", "matrix", "refuse_clocks", "slack_of", "window_width"]
+__all__ = [
+    "all_aside",
+    "group",
+    "match",
+    "matrix",
+    "refuse_clocks",
+    "slack_of",
+    "travel_slack",
+    "window_width",
+]
 
 SHARE = 0.4  # of the shortest interval: two pings never share a window, with room for clocks
 WIDEST = 10.0  # s; window where nothing is known of the schedule
@@ -109,12 +118,17 @@ def refuse_clocks(times: list[np.ndarray], shortest: float, width: float) -> Non
         )
 
 
+def travel_slack(xy: np.ndarray) -> float:
+    """How far travel time from the tag may differ between two pings, s; receivers at (M, 2) m."""
+    return min(float(np.hypot(*np.ptp(xy, axis=0))), RANGE) / DEFAULT_SOUND_SPEED
+
+
 def slack_of(works: list[Sorting]) -> float:
     """How far a time from ping to ping may be off: rounding, travel, clocks (s)."""
     rows = np.concatenate([w.rows for w in works])
     rounding = 1.0 if (works[0].detections.time[rows] % NS == 0).all() else 0.0
-    heard = works[0].receivers.xy[np.unique(np.concatenate([w.column for w in works]))]
-    travel = min(float(np.hypot(*np.ptp(heard, axis=0))), RANGE) / DEFAULT_SOUND_SPEED
+    column = np.unique(np.concatenate([w.column for w in works]))
+    travel = travel_slack(works[0].receivers.xy[column])
     spreads = []
     for work in works:
         size = np.bincount(work.ping)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as _replace
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from maloc.data import _arrays
 from maloc.data._time import OPEN_END, OPEN_START, duration, iso
-from maloc.data.arrivals import Schedule, SetAside
+from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
 from maloc.data.receivers import Receivers
 from maloc.data.report import ReadReport
 from maloc.errors import InputError
@@ -225,6 +225,31 @@ class EncounterHistory:
     def summed(self) -> bool:
         """Whether the number of missed pings in the gaps is unknown and can be summed out."""
         return not self.known and self.schedule.kind in GAP_KINDS
+
+    @classmethod
+    def from_arrivals(
+        cls, toas: ArrivalTimes | Sequence[ArrivalTimes], known: bool | None = None, **fields: Any
+    ) -> EncounterHistory:
+        """Build from arrival times of one tag or several, by who heard each ping.
+
+        Parameters
+        ----------
+        toas : ArrivalTimes or sequence of them
+            All with the same receivers; a ping's time is that of its first arrival. Rows that
+            nobody heard are pings, at times interpolated between the heard ones.
+        known : bool, optional
+            Every ping sent is a row; by default where there is a row that nobody heard.
+        **fields
+            Other fields, such as schedule (theirs by default), start and end.
+
+        Raises
+        ------
+        InputError
+            If no ping was heard, receivers differ, or schedules do.
+        """
+        from maloc.data._encounter_arrivals import history_of
+
+        return history_of([toas] if isinstance(toas, ArrivalTimes) else list(toas), known, fields)
 
     def replace(self, **changes: Any) -> EncounterHistory:
         """Return a copy with some fields changed, checked again."""
