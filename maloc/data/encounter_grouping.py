@@ -134,7 +134,7 @@ def encounter_history(
             mend="compare the receivers' names in both files",
         )
     if sent is None and schedule.shortest > 0:
-        refuse_clocks(times, schedule.shortest, width)
+        refuse_clocks(good, times, schedule.shortest, width)
     keep = tuple(work.tag for work in good)
     heard, source = matrix(good, times)
     return EncounterHistory(
