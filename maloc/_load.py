@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from maloc.data import ArrivalTimes, Detections, Receivers, Schedule
     from maloc.sync import ClockSync
 
-__all__ = ["Source", "TrackOptions", "load", "sync_tags"]
+__all__ = ["Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
 
 ROW = "row in the detections as read"  # extra column that survives the synchronisation
 
@@ -35,6 +35,8 @@ class TrackOptions:
     reference: str | None = None
     model: str = "toa"
     movement: str = "ctcrw"
+    detection: str = "halfnormal"
+    loss: bool = True
     error: str = "ddetect"
     interval: tuple[float, float] | None = None
     interval_stable: tuple[float, float] | None = None
@@ -60,6 +62,8 @@ class TrackOptions:
             raise InputError("--chains must be 2 or more: one chain cannot show it has converged")
         if self.toa is not None and (self.sync not in ("auto", "none") or self.reference):
             raise InputError("--toa is on one clock already", mend="leave --sync out")
+        if self.model == "detections" and self.sound_speed is not None:
+            raise InputError("--sound-speed says nothing to --model detections; leave it out")
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
         self.schedule()
@@ -159,7 +163,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         log.report(detections.report)
         if not len(detections):
             raise InputError("no detections", file=", ".join(map(str, options.detections)))
-        tags = _tags(options, detections, receivers)
+        tags = tags_to_fit(options, detections, receivers)
         for tag in tags:
             check_whole_seconds(detections.select(tag), options.detections)
         numbered = replace(detections, extra={**detections.extra, ROW: np.arange(len(detections))})
@@ -224,7 +228,7 @@ def _with_rows(
     return toa.replace(detection=number, set_aside=SetAside(*(m[order] for m in merged)))
 
 
-def _tags(options: TrackOptions, detections: Detections, receivers: Receivers) -> list[str]:
+def tags_to_fit(options: TrackOptions, detections: Detections, receivers: Receivers) -> list[str]:
     """Full ids of the tags to fit: those named, or all that are not sync tags."""
     if options.tags:
         return list(dict.fromkeys(detections.find_tag(t) for t in options.tags))

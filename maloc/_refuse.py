@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["check_usable", "check_whole_seconds"]
 
 FEWEST = 3  # usable pings
+WHOLE = "whole seconds: useless for positions by arrival times"
 
 
 def check_whole_seconds(detections: Detections, files: Any) -> None:
@@ -27,15 +28,18 @@ def check_whole_seconds(detections: Detections, files: Any) -> None:
         1 s is 1500 m: such times tell nothing about positions.
     """
     whole = detections.time % NS == 0
-    mend = "export again with fractions of a second"
+    mend = (
+        "export again with fractions of a second, or use who heard what without the times: "
+        "--model detections"
+    )
     where = ", ".join(map(str, files))
     if len(whole) > 2 and whole.all():
-        raise InputError("times are whole seconds: useless for positions", file=where, mend=mend)
+        raise InputError(f"times are {WHOLE}", file=where, mend=mend)
     for name in detections.receivers:
         mine = detections.receiver == name
         if mine.sum() > 4 and whole[mine].all():
             raise InputError(
-                f"times of receiver {name} are whole seconds: useless for positions",
+                f"times of receiver {name} are {WHOLE}",
                 file=where,
                 mend=mend,
             )

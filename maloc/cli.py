@@ -206,13 +206,24 @@ def track(
     reference: Annotated[
         str | None, typer.Option(help="Receiver whose clock is the common time.")
     ] = None,
-    model: Annotated[Literal["toa"], typer.Option(help="What is modelled.")] = "toa",
+    model: Annotated[
+        Literal["toa", "detections"],
+        typer.Option(help="Arrival times, or only which receivers heard each ping."),
+    ] = "toa",
     movement: Annotated[
         Literal["ctcrw", "rw"], typer.Option(help="Correlated or plain random walk.")
     ] = "ctcrw",
     error: Annotated[
         Literal["ddetect", "gaussian", "student"], typer.Option(help="Law of arrival errors.")
     ] = "ddetect",
+    detection: Annotated[
+        Literal["halfnormal", "logistic", "hazard"],
+        typer.Option(help="Detection by distance (--model detections)."),
+    ] = "halfnormal",
+    loss: Annotated[
+        bool,
+        typer.Option(help="Pings may be lost to all receivers at once (--model detections)."),
+    ] = True,
     interval: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="MIN MAX", help="Random burst interval, s."),
@@ -240,7 +251,8 @@ def track(
     """Estimate tracks: positions of every ping with their uncertainty.
 
     Writes track.csv, arrivals.csv, parameters.csv, posterior.nc, map.png, diagnostics.png,
-    summary.json.
+    summary.json; with --model detections, which needs neither synchronised clocks nor fractions of
+    a second, missed.csv too.
     """
     from maloc._load import TrackOptions
     from maloc._run import run_track
@@ -254,6 +266,8 @@ def track(
         reference=reference,
         model=model,
         movement=movement,
+        detection=detection,
+        loss=loss,
         error=error,
         interval=interval,
         interval_stable=interval_stable,

@@ -6,6 +6,7 @@ import numpy as np
 
 from maloc.data import Detections, Note, Receivers
 from maloc.data._time import NS
+from maloc.errors import InputError
 from maloc.sync._coarse import FEW, align
 
 __all__ = ["rough"]
@@ -14,13 +15,19 @@ LIMIT = 2 * 3600.0  # s; clocks further off are an unset zone, which sync tags m
 JUMP = 3.0  # s; smaller ones do no harm to the grouping
 
 
-def rough(detections: Detections, receivers: Receivers, *, limit: float = LIMIT) -> Detections:
+def rough(
+    detections: Detections,
+    receivers: Receivers,
+    *,
+    reference: object = None,
+    limit: float = LIMIT,
+) -> Detections:
     """Bring receivers' clocks together by the pings that several of them heard, of any tag.
 
     Two receivers that hear the same pings see their times apart by a constant and a drift, and by
     travel times of under a second: enough to tell pings from one another, not for positions by
-    arrival times (`maloc.sync.fit`). The common time is that of the middle clock. Receivers that
-    share too few pings with the others keep their own clocks, which is reported.
+    arrival times (`maloc.sync.fit`). Receivers that share too few pings with the others keep their
+    own clocks, which is reported.
 
     Parameters
     ----------
@@ -28,6 +35,8 @@ def rough(detections: Detections, receivers: Receivers, *, limit: float = LIMIT)
         Raw.
     receivers : Receivers
         The array; receivers that are not in it are left as they are.
+    reference : str, optional
+        Receiver whose clock is the common time; the middle of all clocks if not given.
     limit : float
         Largest difference of two clocks that is looked for, s.
 
@@ -35,6 +44,11 @@ def rough(detections: Detections, receivers: Receivers, *, limit: float = LIMIT)
     -------
     Detections
         The same rows, times changed; the report says by how much.
+
+    Raises
+    ------
+    InputError
+        If the reference is not among the receivers that could be brought together.
     """
     if not len(detections):
         return detections
@@ -57,9 +71,9 @@ def rough(detections: Detections, receivers: Receivers, *, limit: float = LIMIT)
     level = {j: float(np.median(offset[known & (who == j)])) for j in clocks}
     middle = float(np.median(list(level.values())))
     aligned = known & np.isin(who, list(clocks))
-    offset[aligned] -= middle
+    offset[aligned] -= middle if reference is None else _own(reference, level, names)
     time = detections.time - np.round(offset * NS).astype(np.int64)
-    notes = []
+    notes: list[Note] = []
     if len(clocks) > 1:
         most = max(abs(v - middle) for v in level.values())
         text = f"clocks of {len(clocks)} receivers brought together by the pings they share"
@@ -76,3 +90,14 @@ def rough(detections: Detections, receivers: Receivers, *, limit: float = LIMIT)
         notes.append(Note("warning", f"{text} {', '.join(doubtful)}", len(doubtful)))
     report = detections.report.add(*notes)
     return Detections(time, detections.receiver, detections.tag, dict(detections.extra), report)
+
+
+def _own(reference: object, level: dict[int, float], names: np.ndarray) -> float:
+    """How far the reference's clock is from the one that all were compared with, s."""
+    for j, value in level.items():
+        if str(names[j]) == str(reference):
+            return value
+    raise InputError(
+        f"reference receiver '{reference}' shares too few pings with the others",
+        mend=f"choose one of {', '.join(str(names[j]) for j in level)}",
+    )

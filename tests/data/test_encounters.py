@@ -154,7 +154,7 @@ def test_windows_and_spans_that_make_no_sense():
 def test_start_and_end_by_tag_by_all_and_by_deployment():
     d, *_ = study(np.random.default_rng(6), n=5)
     h = encounter_history(d, receivers(), start={"A-2": START}, end=START + 10**12)
-    zero = (START - h.origin) / 1e9
+    zero = (START - (h.origin or 0)) / 1e9
     np.testing.assert_array_equal(h.start, [np.nan, zero])
     np.testing.assert_array_equal(h.end, [zero + 1000] * 2)
     since = receivers(start=np.full(6, START - 10**9))

@@ -1,0 +1,112 @@
+"""From files to encounter histories: read, bring clocks together roughly, group."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from maloc._load import ROW, TrackOptions, tags_to_fit
+from maloc._log import Log
+from maloc.errors import InputError
+
+if TYPE_CHECKING:
+    from maloc.data import Detections, EncounterHistory, Receivers
+
+__all__ = ["Encounters", "load_encounters"]
+
+FEWEST = 3  # heard pings
+
+
+class Encounters(NamedTuple):
+    """What was read: one history of all tags, and how it came about."""
+
+    history: EncounterHistory
+    receivers: Receivers
+    detections: Detections | None
+
+
+def load_encounters(options: TrackOptions, log: Log) -> Encounters:
+    """Read the input and bring it to one encounter history of all tags.
+
+    Raises
+    ------
+    InputError
+        If nothing in the input can be used.
+    """
+    from maloc.data import read_receivers
+
+    with log.stage("read"):
+        receivers = read_receivers(options.receivers, crs=options.crs)
+        log.report(receivers.report)
+        if len(receivers.names) < 2:
+            raise InputError(
+                f"{len(receivers.names)} receiver: who heard what tells nothing of where",
+                file=options.receivers,
+            )
+    made = _from_toa if options.toa is not None else _from_detections
+    history, detections = made(options, receivers, log)
+    log.report(history.report)
+    if (n := int((history.n_heard > 0).sum())) < FEWEST:
+        raise InputError(f"{n} pings were heard; a track needs at least {FEWEST}")
+    if not history.heard.any(axis=0).sum() > 1:
+        name = history.receivers.labels[int(history.heard.any(axis=0).argmax())]
+        log.warn(f"only receiver {name} heard anything: positions are rings around it")
+    return Encounters(history, receivers, detections)
+
+
+def _from_toa(options: TrackOptions, receivers: Receivers, log: Log):
+    from maloc.data import EncounterHistory, read_toa
+
+    assert options.toa is not None
+    with log.stage("read"):
+        toas = [
+            read_toa(
+                options.toa,
+                receivers,
+                ignore_columns=options.ignore_columns,
+                sound_speed=1500.0,  # not used
+                schedule=options.schedule(),
+                tag=tag,
+            )
+            for tag in (dict.fromkeys(options.tags) or [None])
+        ]
+    return EncounterHistory.from_arrivals(toas), None
+
+
+def _from_detections(options: TrackOptions, receivers: Receivers, log: Log):
+    from maloc.data import encounter_history, read_detections
+
+    with log.stage("read"):
+        detections = read_detections(*options.detections)
+        log.report(detections.report)
+        if not len(detections):
+            raise InputError("no detections", file=", ".join(map(str, options.detections)))
+        tags = tags_to_fit(options, detections, receivers)
+    with log.stage("sync"):
+        common, receivers = _one_clock(options, detections, receivers)
+    with log.stage("group"):
+        history = encounter_history(common, receivers, tags, schedule=options.schedule())
+        row = common.extra[ROW]
+        known, aside = history.detection, history.set_aside
+        assert known is not None
+        history = history.replace(
+            detection=np.where(known >= 0, row[known], -1),
+            set_aside=replace(aside, detection=row[aside.detection]),
+        )
+    return history, detections
+
+
+def _one_clock(options: TrackOptions, detections: Detections, receivers: Receivers):
+    """Detections on about one clock, each with its row as read, and the receivers that have it."""
+    numbered = replace(detections, extra={**detections.extra, ROW: np.arange(len(detections))})
+    if options.sync == "none":
+        return numbered, receivers
+    from maloc.sync import ClockSync, rough
+
+    if options.sync == "auto":
+        return rough(numbered, receivers, reference=options.reference), receivers
+    sync = ClockSync.from_netcdf(options.sync)
+    names = np.array(sync.receivers.names)[sync.synced]
+    return sync.apply(numbered), receivers.subset(np.isin(receivers.receiver, names))
