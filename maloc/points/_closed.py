@@ -13,12 +13,17 @@ measurements. IEEE Trans. Acoust. Speech Signal Process. 35: 1661-1669.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from maloc._jax import jnp
+from maloc.points._choose import choose
+from maloc.points._lm import distances
+from maloc.points._problem import Found, Problem, in_batches
 from maloc.points._small import dot, solve, under_determined
 
-__all__ = ["Roots", "minimal", "spherical"]
+__all__ = ["Roots", "closed_form", "minimal", "spherical"]
 
 _SAME = 1e-9  # m; arrivals that differ by less are simultaneous
 
@@ -186,3 +191,46 @@ def _det(a: Any) -> Any:
         - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
         + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
     )
+
+
+def _closed(ping: Problem, tolerance: Any, *, d: int, kind: str) -> tuple[dict, dict]:
+    few = minimal(ping.range[: d + 1], ping.place[: d + 1], d)
+    many = spherical(ping, d, kind)
+    only = jnp.sum(ping.heard) == d + 1
+    position = jnp.where(only, few.position, many.position)
+    emission = jnp.where(only, few.emission, many.emission)
+    reach = jnp.stack([ping.range - distances(ping.place, position[k]) for k in range(2)])
+    z = (reach - emission[:, None]) / ping.sigma[None]
+    cost = jnp.sum(jnp.where(ping.heard[None], z**2, 0.0), axis=1)
+    # noise can leave a minimal set without a real solution: the nearest place is good if it fits
+    good = jnp.where(only, few.exact | (cost <= (d + 1) * tolerance**2), many.exact)
+    return {"position": position, "emission": emission, "cost": cost, "any": good}, {}
+
+
+def closed_form(
+    problem: Problem,
+    d: int,
+    *,
+    kind: Literal["intersection", "interpolation"] = "intersection",
+    tolerance: float = 5.0,
+    **limits: Any,
+) -> Found:
+    """Positions without iteration; one wild arrival spoils them.
+
+    Parameters
+    ----------
+    problem : Problem
+        P pings of at least d + 1 arrivals.
+    d : int
+        2 or 3.
+    kind : {"intersection", "interpolation"}
+        Of pings with more than d + 1 arrivals: Smith and Abel's spherical intersection or
+        interpolation.
+    tolerance : float
+        Standard deviations by which d + 1 arrivals that no place fits exactly may be off.
+    **limits
+        As of `maloc.points._choose.choose`.
+    """
+    value, _ = in_batches(_closed, problem, (), (tolerance,), static={"d": d, "kind": kind})
+    used = np.repeat(problem.heard[:, :, None], 2, axis=2)
+    return choose(problem, value, used, d, **limits)

@@ -16,8 +16,7 @@ from maloc.points._small import dot, solve
 
 __all__ = ["Fitted", "distances", "emission_of", "fit", "least_squares"]
 
-_STEPS = 30
-_TINY = 1e-5  # m; a step shorter than this ends the search
+_TINY = 1e-4  # m; a step shorter than this ends the search
 
 
 class Fitted(NamedTuple):
@@ -41,7 +40,7 @@ def emission_of(weight: Any, reach: Any) -> Any:
     return jnp.sum(weight * reach) / jnp.maximum(jnp.sum(weight), 1e-300)
 
 
-def fit(ping: Problem, start: Any, weight: Any, precision: Any = None) -> Fitted:
+def fit(ping: Problem, start: Any, weight: Any, precision: Any = None, steps: int = 30) -> Fitted:
     """Weighted least squares from a start.
 
     Parameters
@@ -54,11 +53,13 @@ def fit(ping: Problem, start: Any, weight: Any, precision: Any = None) -> Fitted
         1 / sigma^2 of the arrivals used, 0 elsewhere, 1/m^2.
     precision : array (M, M), optional
         Of correlated errors, in place of the weights; 0 in rows and columns not used.
+    steps : int
+        Largest number of steps.
 
     Returns
     -------
     Fitted
-        Where the search stood when a step was below .01 mm, or after 30 steps.
+        Where the search stood when a step was below .1 mm, or after `steps` steps.
     """
     d = len(start)
     if precision is None:
@@ -86,7 +87,7 @@ def fit(ping: Problem, start: Any, weight: Any, precision: Any = None) -> Fitted
         return jnp.sum(weigh(residual) * residual), gradient, jnp.stack(rows)
 
     def going(carry: tuple) -> Any:
-        return (carry[0] < _STEPS) & (carry[-1] > _TINY)
+        return (carry[0] < steps) & (carry[-1] > _TINY)
 
     def step(carry: tuple) -> tuple:
         k, x, (cost, gradient, gram), damping, _ = carry

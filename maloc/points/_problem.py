@@ -18,7 +18,7 @@ from maloc.data.arrivals import ArrivalTimes
 __all__ = ["Found", "Problem", "bounds", "in_batches", "problem_of", "spread_columns"]
 
 _WIDTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-_BATCHES = (64, 1024)
+_BATCHES = (64, 256)
 
 
 class Problem(NamedTuple):

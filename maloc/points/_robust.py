@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from maloc._jax import jnp
+from maloc.points._choose import choose
 from maloc.points._closed import minimal
 from maloc.points._lm import distances, fit
 from maloc.points._problem import Found, Problem, in_batches
@@ -134,12 +135,12 @@ def refine(
     position (d,), emission (), inlier (M,) bool, truncated cost ()
     """
     d = len(position)
-    variance = 1 / ping.sigma**2
+    precision = 1 / ping.sigma**2
     for _ in range(rounds):
         z = (ping.range - emission - distances(ping.place, position)) / ping.sigma
         inlier = (abs(z) <= delta) & ping.heard
         enough = jnp.sum(inlier) > d
-        found = fit(ping, position, jnp.where(inlier & enough, variance, 0.0))
+        found = fit(ping, position, jnp.where(inlier & enough, precision, 0.0), steps=12)
         position = jnp.where(enough, found.position, position)
         emission = jnp.where(enough, found.emission, emission)
     z = (ping.range - emission - distances(ping.place, position)) / ping.sigma
@@ -147,22 +148,19 @@ def refine(
     return position, emission, inlier, truncated_cost(z, ping.heard, delta, early)
 
 
-def _inside(position: Any, region: Any) -> Any:
-    """Whether positions (2 or 3, H) lie in a polygon (V, 2): even-odd rule."""
-    x, y = position[0][None], position[1][None]
-    a, b = region, jnp.roll(region, -1, axis=0)
-    (ax, ay), (bx, by) = (a[:, 0, None], a[:, 1, None]), (b[:, 0, None], b[:, 1, None])
-    crosses = (ay > y) != (by > y)
-    rise = jnp.where(by == ay, 1.0, by - ay)
-    return jnp.sum(crosses & (x < ax + (y - ay) * (bx - ax) / rise), axis=0) % 2 == 1
-
-
 def _allowed(ping: Problem, position: Any, reach: Any, region: Any) -> Any:
     """Hypotheses (d, H) within reach of a receiver that heard the ping, and in the region."""
     square = sum((position[i][None] - ping.place[:, i, None]) ** 2 for i in range(2))
     near = jnp.min(jnp.where(ping.heard[:, None], square, jnp.inf), axis=0) <= reach**2
     near = near & jnp.isfinite(position[0])
-    return near & _inside(position, region) if region.shape[0] else near
+    if not region.shape[0]:
+        return near
+    x, y = position[0][None], position[1][None]
+    following = jnp.roll(region, -1, axis=0)
+    ax, ay, bx, by = (c[:, None] for c in (*region.T, *following.T))
+    crosses = (ay > y) != (by > y)  # even-odd rule
+    rise = jnp.where(by == ay, 1.0, by - ay)
+    return near & (jnp.sum(crosses & (x < ax + (y - ay) * (bx - ax) / rise), axis=0) % 2 == 1)
 
 
 def _consensus(
@@ -178,7 +176,7 @@ def _consensus(
     most: int,
     rounds: int,
 ) -> tuple[dict, dict]:
-    position, emission, exact = hypotheses(ping, d, most)
+    position, emission, _ = hypotheses(ping, d, most)
     z = _weighted(ping, position, emission)
     allowed = _allowed(ping, position, reach, region)
     known = jnp.isfinite(prior[0])
@@ -197,8 +195,7 @@ def _consensus(
         "emission": jnp.stack([first[1], rival[1]]),
         "cost": jnp.stack([first[3], rival[3]]),
         "any": jnp.stack([jnp.any(allowed), jnp.any(other)]),
-        "exact": jnp.any(exact),
-    }, {"inlier": jnp.stack([first[2], rival[2]], axis=1)}
+    }, {"used": jnp.stack([first[2], rival[2]], axis=1)}
 
 
 def consensus(
@@ -254,70 +251,14 @@ def consensus(
         (delta, early, reach, apart, polygon),
         static={"d": d, "most": most, "rounds": rounds},
     )
-    return choose(problem, value, each["inlier"], d, reach, polygon, prior, apart, evidence)
-
-
-def choose(
-    problem: Problem,
-    value: dict[str, np.ndarray],
-    inlier: np.ndarray,
-    d: int,
-    reach: float,
-    region: np.ndarray,
-    prior: np.ndarray,
-    apart: float,
-    evidence: float,
-) -> Found:
-    """Choose between two refined places a ping (value's arrays (P, 2, ...)), or keep both."""
-    position, emission, cost = value["position"], value["emission"], value["cost"]
-    n = len(position)
-    size = inlier.sum(axis=1)  # (P, 2)
-    ok = value["any"] & np.isfinite(position).all(-1) & (size > d)
-    nearest = np.full((n, 2), np.inf)
-    for k in range(2):
-        away = np.linalg.norm(position[:, k, None, :2] - problem.place[..., :2], axis=-1)
-        nearest[:, k] = np.where(problem.heard, away, np.inf).min(axis=1)
-    near = nearest <= reach
-    if len(region):
-        from matplotlib.path import Path
-
-        inside = Path(region).contains_points(position[..., :2].reshape(-1, 2)).reshape(n, 2)
-        near &= inside
-    fits = ok & near
-    row = np.arange(n)
-    score = np.where(fits, cost, np.inf)
-    better = (score[:, 1] < score[:, 0]).astype(int)
-    one, two = better, 1 - better
-    gap = np.linalg.norm(position[:, 0] - position[:, 1], axis=-1)
-    with np.errstate(invalid="ignore"):
-        tie = fits.all(axis=1) & (gap > apart) & (np.abs(cost[:, 1] - cost[:, 0]) < evidence)
-        to_prior = np.linalg.norm(position[..., :2] - prior[:, None], axis=-1)
-    told = tie & np.isfinite(to_prior).all(axis=1)
-    nearer = np.where(to_prior[:, 1] < to_prior[:, 0], 1, 0)
-    one = np.where(told, nearer, one)
-    two = 1 - one
-    some = fits[row, one]
-    why = np.where(
-        some,
-        "",
-        np.where(
-            ok.any(axis=1),
-            "the arrivals point out of reach",
-            np.where(value["any"][:, 0], "no arrivals agree", "no place fits three arrivals"),
-        ),
-    )
-    keep = some[:, None]
-    used = inlier[row, :, one] & keep
-    tie = tie & some
-    # d + 1 arrivals agree on some place whatever they are: where others disagree that is no proof
-    unproven = some & (used.sum(axis=1) == d + 1) & (problem.heard.sum(axis=1) > d + 1)
-    agreed = used & (inlier[row, :, two] | ~tie[:, None]) & ~unproven[:, None]
-    return Found(
-        np.where(keep, position[row, one], np.nan),
-        np.where(some, emission[row, one], np.nan),
-        used,
-        tie | unproven,
-        np.where(tie[:, None], position[row, two], np.nan),
-        why,
-        agreed=agreed,
+    return choose(
+        problem,
+        value,
+        each["used"],
+        d,
+        reach=reach,
+        region=region,
+        prior=prior,
+        apart=apart,
+        evidence=evidence,
     )
