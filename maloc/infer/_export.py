@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from maloc.data.encounter_data import EncounterData
 from maloc.data.model_data import ToaData
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ def _groups(fit: Fit) -> dict:
     from maloc import __version__
 
     draws = fit.draws()
+    data = fit.args[0] if fit.args else None
+    along = "state" if isinstance(data, EncounterData) else "ping"
     attrs = {"inference_library": "maloc", "inference_library_version": __version__}
     attrs |= {"method": fit.method, "model": fit.model_name}
     chain_path = {s.name for s in fit.cm.chain}
@@ -29,7 +32,7 @@ def _groups(fit: Fit) -> dict:
         dims = ["chain", "draw"]
         for axis, size in enumerate(value.shape[2:]):
             if axis == 0 and size == fit.n_states and (name in chain_path or value.ndim > 2):
-                dims.append("ping")
+                dims.append(along)
             elif size == 2 and name in ("track", "position") and axis == value.ndim - 3:
                 dims.append("axis")
             else:
@@ -39,8 +42,11 @@ def _groups(fit: Fit) -> dict:
     coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
     groups = {"posterior": xr.Dataset(variables, coords, attrs)}
     pointwise = fit.pointwise()
+    each = "detection" if along == "ping" else None
     groups["log_likelihood"] = xr.Dataset(
-        {k: (("chain", "draw", "detection"), v) for k, v in pointwise.items()}, coords, attrs
+        {k: (("chain", "draw", each or f"{k}_value"), v) for k, v in pointwise.items()},
+        coords,
+        attrs,
     )
     stats = getattr(fit, "stats", {})
     rename = {"potential": "energy", "steps": "n_steps", "accept": "acceptance_rate"}
@@ -52,9 +58,31 @@ def _groups(fit: Fit) -> dict:
         coords if stats else None,
         attrs,
     )
-    if fit.args and isinstance(fit.args[0], ToaData):
-        groups |= _toa_groups(fit, fit.args[0], list(pointwise))
+    if isinstance(data, ToaData):
+        groups |= _toa_groups(fit, data, list(pointwise))
+    elif isinstance(data, EncounterData):
+        groups |= _encounter_groups(fit, data)
     return groups
+
+
+def _encounter_groups(fit: Fit, data: EncounterData) -> dict:
+    import xarray as xr
+
+    n = fit.n_states
+    heard, columns = np.asarray(data.heard)[:n], np.asarray(data.receiver)[:n]
+    rows, place = np.nonzero(heard)
+    observed = {
+        "detection_state": (("detection",), rows),
+        "detection_receiver": (("detection",), columns[rows, place]),
+    }
+    present = np.asarray(data.present)
+    constant = {
+        "time": (("state",), np.asarray(data.time)[:n]),
+        "tag": (("state",), np.asarray(data.tag)[:n]),
+        "is_ping": (("state",), np.asarray(data.ping)[:n]),
+        "receiver_xy": (("receiver", "axis"), np.asarray(data.receiver_xy)[present]),
+    }
+    return {"observed_data": xr.Dataset(observed), "constant_data": xr.Dataset(constant)}
 
 
 def _toa_groups(fit: Fit, data: ToaData, names: list[str]) -> dict:

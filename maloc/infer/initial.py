@@ -5,6 +5,8 @@ widened to the size of the array and narrowed step by step, so that the track as
 place before single arrivals are believed. Then each ping is asked whether another emission time
 (or its neighbours' position) explains it better, which frees pings left behind with all arrivals
 "late". Point positions (population Monte Carlo) can be given in place of the centre.
+
+Detection models start at the middle of the receivers that heard each ping.
 """
 
 from __future__ import annotations
@@ -13,10 +15,12 @@ import numpy as np
 
 from maloc._jax import jax
 from maloc.arrival import DDetect
+from maloc.data.encounter_data import EncounterData
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer.mode import anneal, find_mode
 from maloc.movement import CTCRW, Brownian
+from maloc.statespace import SoftBox
 
 __all__ = ["initial_values", "repair", "stable_interval"]
 
@@ -32,18 +36,21 @@ def initial_values(
     ----------
     cm : ChainModel
     args : tuple
-        The model's arguments; arrival times (`ToaData`) as the first are used, other models start
-        from zero and the prior medians.
+        The model's arguments; arrival times (`ToaData`) or encounter histories (`EncounterData`) as
+        the first are used, other models start from zero and the prior medians.
     positions : (T, 2) array, optional
         Point positions (m) to start from in place of the array's centre.
     """
     medians = cm.prior_medians(args)
     length = cm.length(args)
-    if not (args and isinstance(args[0], ToaData)):
-        return np.zeros((length, cm.d)), cm.flat_globals(medians)
-    data = args[0]
+    data = args[0] if args else None
     u = cm.flat_globals(medians)
     x = np.zeros((length, cm.d))
+    if isinstance(data, EncounterData):
+        _put_positions(cm, x, np.asarray(data.initial) if positions is None else positions)
+        return find_mode(cm, args, x, u, method="gauss-newton", max_steps=10, tol=1e-2).x, u
+    if not isinstance(data, ToaData):
+        return x, u
     xy = np.broadcast_to(_middle(data), (length, 2)) if positions is None else positions
     xy = np.concatenate([xy, np.repeat(xy[-1:], length - len(xy), axis=0)])
     _put_positions(cm, x, xy)
@@ -106,7 +113,7 @@ def _column(cm: ChainModel, name: str) -> int | None:
 def _position_columns(cm: ChainModel) -> list[int]:
     """Columns of the flat path that hold the positions' axes."""
     for site in cm.chain:
-        if issubclass(site.law, CTCRW | Brownian):
+        if issubclass(site.law, CTCRW | Brownian | SoftBox):
             start = site.columns.start
             return [start + a for a in range(site.tail[-1])]
     return []

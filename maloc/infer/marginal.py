@@ -67,6 +67,15 @@ class _Marginal:
             out.append(float(value) + 0.5 * _factor(band, self.cm.d).log_det)
         return np.asarray(out)
 
+    def _curvature_at(self, mode: Mode, u, clipped: ChainFactor) -> ChainFactor:
+        """What moves the mode with the parameters: the exact Hessian where clipping changes it."""
+        if not self.cm.has_local:
+            return clipped
+        try:
+            return ChainFactor(self.cm.exact(mode.x, u, self.args, 0.0)[2], self.cm.d)
+        except np.linalg.LinAlgError:
+            return clipped
+
     def __call__(self, u: np.ndarray) -> _Point:
         cm, k = self.cm, self.cm.k
         self.evaluations += 1
@@ -77,7 +86,7 @@ class _Marginal:
         band = cm.terms(mode.x, u, self.args, 0.0, False)[2]
         factor = _factor(band, cm.d)
         mixed = np.asarray(cm.cross(mode.x, u, self.args))
-        slope = -factor.solve(mixed)
+        slope = -self._curvature_at(mode, u, factor).solve(mixed)
         value = mode.value + 0.5 * factor.log_det
         offsets = np.concatenate([np.diag(self.scale), -np.diag(self.scale)]) * 0.05
         ends = self.profile(mode.x, u, slope, offsets)

@@ -8,6 +8,7 @@ import numpy as np
 
 from maloc._jax import jnp
 from maloc._stages import Stages
+from maloc.data.encounter_data import EncounterData
 from maloc.data.model_data import ToaData
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
@@ -55,8 +56,8 @@ class Fit:
 
     @property
     def n_states(self) -> int:
-        """States of the chain without padding: heard pings."""
-        if self.args and isinstance(self.args[0], ToaData):
+        """States of the chain without padding."""
+        if self.args and isinstance(self.args[0], ToaData | EncounterData):
             return int(np.asarray(self.args[0].valid).sum())
         return self.cm.length(self.args)
 
