@@ -117,6 +117,10 @@ def run_track(
     FitError
         A fit failed.
     """
+    if options.model == "detections":
+        from maloc._run_encounters import run_encounters
+
+        return run_encounters(options, out, force=force, quiet=quiet)
     check_free(out, force)
     log = Log(quiet)
     with log.listening():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from maloc._log import Log
     from maloc._run import Fitted
 
-__all__ = ["file_name", "sampler_health", "summary", "write_track"]
+__all__ = ["file_name", "map_figure", "sampler_health", "summary", "write_track"]
 
 LEGEND_ROWS = 3
 PNG = {"dpi": 110, "pil_kwargs": {"compress_level": 1}}  # quick to write; a little larger
@@ -47,7 +47,10 @@ def write_track(
     with log.stage("figures"):
         from matplotlib.figure import Figure
 
-        map_figure(Figure, fitted, tracks, source).savefig(folder / "map.png", **PNG)
+        shown = {f.toa.tag: table for f, table in zip(fitted, tracks, strict=True)}
+        lines = any(f.line is not None for f in fitted)
+        figure = map_figure(Figure, shown, source.receivers, mirrored=lines)
+        figure.savefig(folder / "map.png", **PNG)
         for f, table in zip(fitted, tracks, strict=True):
             path = folder / file_name("diagnostics", f.toa.tag, several, "png")
             diagnostics_figure(Figure, f, table).savefig(path, **PNG)
@@ -64,26 +67,24 @@ def file_name(stem: str, tag: str, several: bool, end: str) -> str:
 
 
 def map_figure(
-    figure_type: type[Figure], fitted: Sequence[Fitted], tracks: Sequence[Any], source: Source
+    figure_type: type[Figure], tracks: Mapping[str, Any], receivers: Any, *, mirrored: bool = False
 ) -> Figure:
-    """Draw all tags on one map; its shape follows the array's and the tracks'."""
+    """Draw the tables of all tags on one map; its shape follows the array's and the tracks'."""
     from maloc.plots._style import CYCLE
     from maloc.plots._track import track
 
     figure = figure_type(figsize=(8.0, 8.0))
     ax = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-    several = len(fitted) > 1
-    for i, (f, table) in enumerate(zip(fitted, tracks, strict=True)):
-        tag = f.toa.tag or "track"
+    several = len(tracks) > 1
+    for i, (tag, table) in enumerate(tracks.items()):
         track(
             table,
-            source.receivers if i == 0 else None,
-            label=tag if several else "posterior mean and 95 % (dark to light: time)",
+            receivers if i == 0 else None,
+            label=(tag or "track") if several else "posterior mean and 95 % (dark to light: time)",
             colour=CYCLE[i % len(CYCLE)] if several else None,
             ax=ax,
         )
-    names = ", ".join(f.toa.tag for f in fitted if f.toa.tag)
-    mirrored = any(f.line is not None for f in fitted)
+    names = ", ".join(tag for tag in tracks if tag)
     note = "Receivers on one line: the mirror image fits as well." if mirrored else ""
     # legend: each label once, above the map; the page follows the map's shape
     entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
@@ -105,7 +106,7 @@ def map_figure(
     height = 8.0 * width * ratio + top + bottom
     figure.set_size_inches(8.0, height)
     ax.set_position((left, bottom / height, width, 1 - (top + bottom) / height))
-    title = names if len(names) <= 75 else f"{len(fitted)} tags"
+    title = names if len(names) <= 75 else f"{len(tracks)} tags"
     figure.text(left, 1 - 0.28 / height, title or "Track", fontsize=12, fontweight="bold")
     figure.text(left, 1 - 0.5 / height, note, fontsize=9, color="#B04000")
     return figure
