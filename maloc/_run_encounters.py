@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from maloc.data import EncounterHistory
-    from maloc.infer.encounter_track import Expected
+    from maloc.infer.encounter_check import Expected
 
 __all__ = ["FittedTags", "fit_tags", "run_encounters"]
 
@@ -45,14 +45,13 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
     """
     with log.stage("engine start"):  # JAX is imported here, and nowhere before
         from maloc import infer, models
-        from maloc.infer import encounter_track
+        from maloc.infer import encounter_check, encounter_track
 
     if history.known:
         model = models.known_interval
     else:
         model = models.unknown_interval if history.summed else models.detection_only
-    heard = history.heard.any(axis=0)
-    line = mirror_line(history.receivers, heard)
+    line = mirror_line(history.receivers, np.asarray(history.heard.any(axis=0)))
     if line is not None:
         log.warn(
             "the receivers that heard anything stand on one line: every position has a mirror "
@@ -87,7 +86,7 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         counted = encounter_track.count_missed(fit, history, options.seed)
         table = encounter_track.track_table(fit, history, counted)
         missed = None if counted is None else encounter_track.missed_table(history, counted)
-        expected = encounter_track.expected_hearing(fit, history)
+        expected = encounter_check.expected_hearing(fit, history)
         if missed is not None and (n := int(missed["outside"].sum())):
             log.warn(
                 f"{n} of {len(missed)} gaps between heard pings fit no number of burst intervals "

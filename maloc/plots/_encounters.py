@@ -13,7 +13,7 @@ from maloc.plots._style import CYCLE, INK, PALE, TRACK, legend_above, new_axes, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from maloc.infer.encounter_track import Expected
+    from maloc.infer.encounter_check import Expected
 
 __all__ = ["detection_curve", "encounters", "hearing", "missed"]
 
@@ -35,7 +35,7 @@ def encounters(
         A fitted detection model.
     table : DataFrame
         The table of track.csv.
-    expected : maloc.infer.encounter_track.Expected
+    expected : maloc.infer.encounter_check.Expected
         What the fit says of who hears what.
     gaps : DataFrame, optional
         The table of missed.csv; chains or nothing take its place where there is none.
