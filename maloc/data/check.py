@@ -278,5 +278,9 @@ def _clocks(d: Detections, r: Receivers) -> list[Note]:
             toa_matrix(d, r, str(names[i]), sound_speed=1500.0)
         except InputError as e:
             if "unsynchronised" in e.problem:
-                return [Note("warning", f"{e.problem}; run maloc sync before positions")]
+                return [
+                    Note(
+                        "warning", f"{e.problem}; run maloc sync before positions by arrival times"
+                    )
+                ]
     return []

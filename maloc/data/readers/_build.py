@@ -11,9 +11,9 @@ from maloc.data.readers._text import Table
 from maloc.data.report import Note, ReadReport
 
 WHOLE_SECONDS = (
-    "times are whole seconds only: useless for sync and positions (1 s = 1500 m), fine for "
-    "presence; VUE and Fathom write whole seconds unless 'millisecond time precision' is ticked "
-    "at export"
+    "times are whole seconds only: useless for sync and positions by arrival times (1 s = 1500 m), "
+    "fine for who heard what (maloc track --model detections); VUE and Fathom write whole seconds "
+    "unless 'millisecond time precision' is ticked at export"
 )
 
 
