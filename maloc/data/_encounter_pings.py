@@ -8,11 +8,13 @@ import numpy as np
 
 from maloc.data._sorting import Sorting
 from maloc.data._time import NS
-from maloc.data.arrivals import DEFAULT_SOUND_SPEED, SetAside
+from maloc.data.arrivals import DEFAULT_SOUND_SPEED, Schedule, SetAside
+from maloc.data.report import Note
 from maloc.errors import InputError
 
 __all__ = [
     "all_aside",
+    "beyond",
     "group",
     "match",
     "matrix",
@@ -25,6 +27,7 @@ __all__ = [
 SHARE = 0.4  # of the shortest interval: two pings never share a window, with room for clocks
 WIDEST = 10.0  # s; window where nothing is known of the schedule
 RANGE = 1500.0  # m; few tags are heard further away
+OFTEN = 0.05  # more times from ping to ping than this share above an interval: it is wrong
 TOO_CLOSE = 0.2  # more pings than this share nearer than an interval: clocks are apart
 MEND = "bring the clocks together first: maloc.sync.fit, or maloc.sync.rough without sync tags"
 
@@ -119,6 +122,25 @@ def refuse_clocks(
             "is wrong",
             mend=MEND,
         )
+
+
+def beyond(times: list[np.ndarray], schedule: Schedule, slack: float) -> list[Note]:
+    """Note on times from ping to ping that lie just above the longest interval, if there are many.
+
+    Makers often state the delay between pings, which leaves out the ping's own length.
+    """
+    steps = np.concatenate([np.diff(t) for t in times])
+    steps = steps[(steps > schedule.lo - slack) & (steps < 1.12 * schedule.hi + slack)]
+    above = int((steps > schedule.hi + slack).sum())
+    if above < 3 or above < OFTEN * len(steps):
+        return []
+    low, high = float(np.quantile(steps, 0.01)), float(steps.max())
+    text = (
+        f"{above} of {len(steps)} times from ping to ping are a little above the longest interval, "
+        f"{schedule.hi:g} s; they run from {low:.3g} to {high:.3g} s: is the interval stated from "
+        "the end of a ping to the start of the next?"
+    )
+    return [Note("warning", text, above)]
 
 
 def travel_slack(xy: np.ndarray) -> float:

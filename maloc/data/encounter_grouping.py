@@ -13,6 +13,7 @@ import numpy as np
 
 from maloc.data._encounter_pings import (
     all_aside,
+    beyond,
     group,
     match,
     matrix,
@@ -135,6 +136,9 @@ def encounter_history(
         )
     if sent is None and schedule.shortest > 0:
         refuse_clocks(good, times, schedule.shortest, width)
+    loose = slack_of(good) if slack is None else float(slack)
+    if sent is None and schedule.kind == "random":
+        notes += beyond(times, schedule, loose)
     keep = tuple(work.tag for work in good)
     heard, source = matrix(good, times)
     return EncounterHistory(
@@ -147,7 +151,7 @@ def encounter_history(
         known=sent is not None,
         start=_span(start, keep, receivers, zero, "start"),
         end=_span(end, keep, receivers, zero, "end"),
-        slack=slack_of(good) if slack is None else float(slack),
+        slack=loose,
         origin=zero,
         detection=source,
         set_aside=all_aside(works),

@@ -16,6 +16,7 @@ from maloc.data import (
     covariates,
     encounter_history,
 )
+from maloc.data._encounter_gaps import find_gaps, most_missed
 from maloc.errors import InputError
 
 START = 1_622_548_800 * 10**9
@@ -301,3 +302,36 @@ def test_pruning_changes_the_likelihood_by_less_than_its_bound(reach):
     assert worst <= bound
     assert worst > 0.02 * bound > 0 or reach == 700
     assert h.prune_bound(150.0) == 0
+
+
+def test_intervals_stated_without_the_pings_length_are_pointed_out():
+    rng = np.random.default_rng(13)
+    right, *_ = study(rng, n=60)
+    h = encounter_history(right, receivers(), schedule=Schedule("random", 20, 40))
+    assert not h.report.warnings
+    longer, *_ = study(rng, n=60, interval=(23.5, 43.5), p=0.8)
+    h = encounter_history(longer, receivers(), schedule=Schedule("random", 20, 40))
+    assert "a little above the longest interval, 40 s" in h.report.warnings[0].text
+
+
+# -- gaps -------------------------------------------------------------------------------------
+
+
+def test_gaps_lie_between_pings_and_leads_are_cut():
+    h = EncounterHistory(
+        [10.0, 12.0, 20.0, 5.0], [0, 0, 0, 1], np.ones((4, 6), bool), receivers(), ("a", "b"),
+        Schedule("random", 1, 2), start=[9.5, -50.0], end=[30.0, np.nan], first_at_start=True,
+        lead=4.0,
+    )  # fmt: skip
+    gaps = [(g.kind, g.tag, g.start, g.duration, g.first_at_start) for g in find_gaps(h)]
+    assert gaps == [
+        ("before", 0, 9.5, 0.5, True),
+        ("inside", 0, 10.0, 2.0, False),
+        ("inside", 0, 12.0, 8.0, False),
+        ("after", 0, 20.0, 6.0, False),
+        ("before", 1, -1.0, 6.0, False),
+    ]
+    assert [most_missed(h, g) for g in find_gaps(h)] == [1, 1, 7, 6, 7]
+    assert find_gaps(h.replace(known=True)) == [] == find_gaps(h.replace(schedule=Schedule()))
+    bare = h.replace(start=[np.nan] * 2, end=[np.nan] * 2)
+    assert [g.kind for g in find_gaps(bare)] == ["inside", "inside"]
