@@ -166,10 +166,10 @@ class _Path(dist.Distribution):
         """Draw paths, shape ``sample_shape + batch_shape + event_shape``."""
         key, key_first = jax.random.split(key)
         noise = jax.random.normal(key, self.shape(sample_shape))
-        if self.tag is None and self.start is None:
+        if self.start is None:
             return self._over(lambda z: self._path(z, None), noise)
         lead = noise.shape[: noise.ndim - len(self.event_shape)]
-        firsts = self._first_law().sample(key_first, (*lead, self.event_shape[0]))
+        firsts = self.start.sample(key_first, (*lead, self.event_shape[0]))
         path = self._path
         for _ in lead:
             path = jax.vmap(path)
@@ -183,7 +183,8 @@ class _Path(dist.Distribution):
         """Law of a first position (A,)."""
         if self.start is not None:
             return self.start
-        return dist.Normal(self.centre, _column(self.spread)).to_event(1)
+        spread = jnp.broadcast_to(_column(self.spread), self.centre.shape)
+        return dist.Normal(self.centre, spread).to_event(1)
 
     def _firsts(self, states):
         """Those of the states (..., T, A) that the law of first states is asked about."""

@@ -12,6 +12,7 @@ from scipy import stats
 
 from maloc._jax import jax, jnp
 from maloc.movement import CTCRW, Brownian, _step_factor, ctcrw_beta, ctcrw_transition
+from maloc.statespace import SoftBox
 from tests import oracles
 
 DT = np.array([3.0, 0.2, 41.0, 41.0, 900.0, 7.5])  # unequal on purpose
@@ -342,3 +343,51 @@ def test_inside_a_numpyro_model():
     want = CTCRW(DT, 0.4, 60.0, CENTRE).log_prob(trace["track"]["value"])
     want += dist.LogNormal(-1.0, 0.5).log_prob(0.4)
     assert float(total) == pytest.approx(float(want))
+
+
+class TestTagsEndToEnd:
+    """Several tags in one path: the product of the single ones, whatever their parameters."""
+
+    TAG = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3])  # 3 is padding
+    DT = np.random.default_rng(0).uniform(0.5, 2.0, 11)
+    CENTRE = jnp.array([1.0, 2.0])
+    LAWS = ((Brownian, (0.7,)), (CTCRW, (0.4, 3.0)))
+
+    def both(self, law, values, start):
+        """One path of all tags with parameters by tag, and the single tags' paths."""
+        by_tag = [jnp.array([v, 2 * v, 3 * v]) for v in values]
+        whole = law(self.DT, *by_tag, self.CENTRE, 10.0, tag=jnp.array(self.TAG), start=start)
+        parts = []
+        for k in range(4):
+            rows = np.flatnonzero(k == self.TAG)
+            own = [min(k + 1, 3) * v for v in values]
+            parts.append((rows, law(self.DT[rows[:-1]], *own, self.CENTRE, 10.0, start=start)))
+        return whole, parts
+
+    @pytest.mark.parametrize(("law", "values"), LAWS, ids=["rw", "ctcrw"])
+    @pytest.mark.parametrize("start", [None, SoftBox(-5 * jnp.ones(2), 6 * jnp.ones(2), 0.3)])
+    def test_density_is_the_product(self, law, values, start):
+        whole, parts = self.both(law, values, start)
+        path = whole.sample(jax.random.key(1))
+        total = sum(part.log_prob(path[rows]) for rows, part in parts)
+        np.testing.assert_allclose(whole.log_prob(path), total, rtol=1e-12)
+        np.testing.assert_allclose(jax.jit(lambda d, p: d.log_prob(p))(whole, path), total)
+
+    @pytest.mark.parametrize(("law", "values"), LAWS, ids=["rw", "ctcrw"])
+    def test_draws_have_the_stated_moments(self, law, values):
+        whole, parts = self.both(law, values, None)
+        draws = np.asarray(whole.sample(jax.random.key(2), (20_000,)))
+        np.testing.assert_allclose(draws.var(0), whole.variance, rtol=0.06)
+        sd = np.sqrt(whole.variance)
+        assert (np.abs(draws.mean(0) - whole.mean) < 5 * sd / np.sqrt(20_000)).all()
+        for rows, part in parts:
+            np.testing.assert_allclose(whole.variance[rows], part.variance, rtol=1e-12)
+        # states of different tags are independent, those of one are not
+        apart = np.corrcoef(draws[:, :, 0].reshape(20_000, 12, -1)[:, :, 0].T)
+        other = self.TAG[:, None] != self.TAG
+        assert np.abs(apart[other]).max() < 0.04
+        assert apart[0, 1] > 0.9
+
+    def test_shapes_are_checked(self):
+        with pytest.raises(ValueError, match="end to end"):
+            Brownian(self.DT, 1.0, self.CENTRE, tag=jnp.zeros(3, int))
