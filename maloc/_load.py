@@ -37,6 +37,8 @@ class TrackOptions:
     movement: str = "ctcrw"
     detection: str = "halfnormal"
     loss: bool = True
+    dispersion: bool = False
+    receiver_effects: bool = False
     error: str = "ddetect"
     interval: tuple[float, float] | None = None
     interval_stable: tuple[float, float] | None = None

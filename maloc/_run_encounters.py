@@ -61,6 +61,8 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         "movement": options.movement,
         "detection": options.detection,
         "loss": options.loss,
+        "dispersion": options.dispersion,
+        "receiver_effects": options.receiver_effects,
     }
     with log.stage("fit"):
         if options.method == "laplace":

@@ -224,6 +224,16 @@ def track(
         bool,
         typer.Option(help="Pings may be lost to all receivers at once (--model detections)."),
     ] = True,
+    dispersion: Annotated[
+        bool,
+        typer.Option(
+            "--dispersion", help="Some pings are heard badly by all (--model detections)."
+        ),
+    ] = False,
+    receiver_effects: Annotated[
+        bool,
+        typer.Option("--receiver-effects", help="Some receivers hear badly (--model detections)."),
+    ] = False,
     interval: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="MIN MAX", help="Random burst interval, s."),
@@ -268,6 +278,8 @@ def track(
         movement=movement,
         detection=detection,
         loss=loss,
+        dispersion=dispersion,
+        receiver_effects=receiver_effects,
         error=error,
         interval=interval,
         interval_stable=interval_stable,

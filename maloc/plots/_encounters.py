@@ -78,7 +78,7 @@ def detection_curve(expected: Expected, *, ax: Any = None) -> Axes:
     x = expected.distance
     low, mean, high = expected.curve
     ax.fill_between(x, low, high, color=TRACK, alpha=0.2, lw=0, zorder=2)
-    ax.plot(x, mean, color=TRACK, lw=1.6, zorder=3, label="fitted, 95 %")
+    ax.plot(x, mean, color=TRACK, lw=1.6, zorder=3, label="fit, 95 %")
     away, was = expected.away, expected.was_heard
     if len(away):
         edges = np.unique(np.quantile(away, np.linspace(0, 1, 13)))
@@ -90,7 +90,7 @@ def detection_curve(expected: Expected, *, ax: Any = None) -> Axes:
             middle[n > 0], share[n > 0], "o", color=CYCLE[1], ms=5, zorder=4, label="share heard"
         )
     ax.set_ylim(-0.02, 1.02)
-    tidy(ax, "distance (m)", "probability", "Detection by distance (known pings)")
+    tidy(ax, "distance (m)", "probability", "Detection by distance")
     return legend_above(ax)
 
 
@@ -101,7 +101,7 @@ def hearing(expected: Expected, *, ax: Any = None) -> Axes:
     ax.bar(at, expected.heard, color=PALE, zorder=2, label="heard")
     ax.plot(at, expected.expected, "o", color=TRACK, ms=5, zorder=3, label="expected")
     ax.set_xticks(at, list(expected.names), rotation=60, ha="right", fontsize=7)
-    tidy(ax, "", "pings", "By receiver (known pings)")
+    tidy(ax, "", "pings", "Pings a receiver")
     return legend_above(ax)
 
 
@@ -114,4 +114,4 @@ def missed(gaps: Any, *, ax: Any = None) -> Axes:
     ax.vlines(length, low, high, color=TRACK, lw=1.0, alpha=0.6, zorder=2)
     ax.plot(length[~odd], n[~odd], "o", color=TRACK, ms=4, zorder=3)
     ax.plot(length[odd], n[odd], "x", color=CYCLE[1], ms=6, zorder=4)
-    return tidy(ax, "gap (s)", "missed pings", "Missed pings a gap (crosses: outside the limits)")
+    return tidy(ax, "gap (s)", "missed pings", "Missed pings a gap, 90 % (x: outside)")
