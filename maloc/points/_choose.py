@@ -6,7 +6,9 @@ import numpy as np
 
 from maloc.points._problem import Found, Problem
 
-__all__ = ["choose", "inside"]
+__all__ = ["SAME", "choose", "inside"]
+
+SAME = 1e-3  # m; the roots of one minimal set are two places unless nearer than this
 
 
 def inside(xy: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -53,7 +55,7 @@ def choose(
         Where the tag is thought to have been, m; NaN where unknown. Of two places that fit the
         nearer one is preferred; the ping stays ambiguous.
     apart : float
-        Two places nearer than this (m) are one.
+        Two places nearer than this (m) are one, unless d + 1 arrivals are all there is.
     evidence : float
         Difference of cost up to which two places fit equally well.
     """
@@ -68,9 +70,11 @@ def choose(
     fits = ok & (nearest <= reach) & inside(position[..., :2], polygon)
     score = np.where(fits, cost, np.inf)
     one = (score[:, 1] < score[:, 0]).astype(int)
+    several = problem.heard.sum(axis=1) > d + 1
     gap = np.linalg.norm(position[:, 0] - position[:, 1], axis=-1)
+    two_places = gap > np.where(several, apart, SAME)
     with np.errstate(invalid="ignore"):
-        tie = fits.all(axis=1) & (gap > apart) & (np.abs(cost[:, 1] - cost[:, 0]) < evidence)
+        tie = fits.all(axis=1) & two_places & (np.abs(cost[:, 1] - cost[:, 0]) < evidence)
     if prior is not None:
         to_prior = np.linalg.norm(position[..., :2] - prior[:, None], axis=-1)
         told = tie & np.isfinite(to_prior).all(axis=1)
@@ -85,7 +89,6 @@ def choose(
     mine = used[row, :, one] & some[:, None]
     agreed = mine & (used[row, :, two] | ~tie[:, None])
     # d + 1 arrivals agree on some place whatever they are: where others disagree that is no proof
-    several = problem.heard.sum(axis=1) > d + 1
     unproven = some & several & (mine.sum(axis=1) == d + 1)
     agreed &= ~(several & (agreed.sum(axis=1) <= d + 1))[:, None]
     return Found(

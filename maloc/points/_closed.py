@@ -213,7 +213,9 @@ def closed_form(
     *,
     kind: Literal["intersection", "interpolation"] = "intersection",
     tolerance: float = 5.0,
-    **limits: Any,
+    reach: float = np.inf,
+    region: np.ndarray | None = None,
+    prior: np.ndarray | None = None,
 ) -> Found:
     """Positions without iteration; one wild arrival spoils them.
 
@@ -228,9 +230,9 @@ def closed_form(
         interpolation.
     tolerance : float
         Standard deviations by which d + 1 arrivals that no place fits exactly may be off.
-    **limits
+    reach, region, prior
         As of `maloc.points._choose.choose`.
     """
     value, _ = in_batches(_closed, problem, (), (tolerance,), static={"d": d, "kind": kind})
     used = np.repeat(problem.heard[:, :, None], 2, axis=2)
-    return choose(problem, value, used, d, **limits)
+    return choose(problem, value, used, d, reach=reach, region=region, prior=prior)

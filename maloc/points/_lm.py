@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maloc._jax import jax, jnp
+from maloc.points._choose import choose
 from maloc.points._problem import Found, Problem, in_batches
 from maloc.points._small import dot, solve
 
-__all__ = ["Fitted", "distances", "emission_of", "fit", "least_squares"]
+__all__ = ["Fitted", "distances", "fit", "least_squares"]
 
 _TINY = 1e-4  # m; a step shorter than this ends the search
 
@@ -35,11 +36,6 @@ def distances(place: Any, position: Any) -> Any:
     return jnp.sqrt(jnp.maximum(square, 1e-12))
 
 
-def emission_of(weight: Any, reach: Any) -> Any:
-    """Best emission () for ranges minus distances (M,): their weighted mean."""
-    return jnp.sum(weight * reach) / jnp.maximum(jnp.sum(weight), 1e-300)
-
-
 def fit(ping: Problem, start: Any, weight: Any, precision: Any = None, steps: int = 30) -> Fitted:
     """Weighted least squares from a start.
 
@@ -51,8 +47,6 @@ def fit(ping: Problem, start: Any, weight: Any, precision: Any = None, steps: in
         Metres.
     weight : array (M,)
         1 / sigma^2 of the arrivals used, 0 elsewhere, 1/m^2.
-    precision : array (M, M), optional
-        Of correlated errors, in place of the weights; 0 in rows and columns not used.
     steps : int
         Largest number of steps.
 
@@ -62,29 +56,18 @@ def fit(ping: Problem, start: Any, weight: Any, precision: Any = None, steps: in
         Where the search stood when a step was below .1 mm, or after `steps` steps.
     """
     d = len(start)
-    if precision is None:
-        ones = weight
-
-        def weigh(a: Any) -> Any:
-            return weight * a
-    else:
-        ones = jnp.sum(precision, axis=1)
-
-        def weigh(a: Any) -> Any:
-            return jnp.sum(precision * a[None], axis=1)
-
-    total = jnp.maximum(jnp.sum(ones), 1e-300)
+    total = jnp.maximum(jnp.sum(weight), 1e-300)
 
     def state(x: Any) -> tuple:
         distance = distances(ping.place, x)
         reach = ping.range - distance
-        residual = reach - jnp.sum(ones * reach) / total
+        residual = reach - jnp.sum(weight * reach) / total
         slope = [(x[i] - ping.place[:, i]) / distance for i in range(d)]
-        slope = [s - jnp.sum(ones * s) / total for s in slope]
-        weighted = [weigh(s) for s in slope]
+        slope = [s - jnp.sum(weight * s) / total for s in slope]
+        weighted = [weight * s for s in slope]
         gradient = jnp.stack([jnp.sum(w * residual) for w in weighted])
         rows = [jnp.stack([jnp.sum(w * s) for s in slope]) for w in weighted]
-        return jnp.sum(weigh(residual) * residual), gradient, jnp.stack(rows)
+        return jnp.sum(weight * residual**2), gradient, jnp.stack(rows)
 
     def going(carry: tuple) -> Any:
         return (carry[0] < steps) & (carry[-1] > _TINY)
@@ -97,7 +80,7 @@ def fit(ping: Problem, start: Any, weight: Any, precision: Any = None, steps: in
         better = new[0] < cost
         kept = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, (cost, gradient, gram))
         x = jnp.where(better, x + move, x)
-        length = jnp.sqrt(dot(move, move))
+        length = jnp.sqrt(dot(move, move)) * (1 + damping)  # a damped step is short anyway
         damping = jnp.where(better, jnp.maximum(damping / 10, 1e-9), damping * 10)
         # no further: the step is tiny, or no step of any length lowers the cost
         length = jnp.where(better, length, jnp.where(damping > 1e6, 0.0, jnp.inf))
@@ -108,7 +91,7 @@ def fit(ping: Problem, start: Any, weight: Any, precision: Any = None, steps: in
     first = (0, start, state(start), jnp.asarray(1e-3), jnp.asarray(jnp.inf))
     _, x, (cost, _, _), _, _ = jax.lax.while_loop(going, step, first)
     reach = ping.range - distances(ping.place, x)
-    return Fitted(x, jnp.sum(ones * reach) / total, cost)
+    return Fitted(x, jnp.sum(weight * reach) / total, cost)
 
 
 def _plain(ping: Problem, d: int) -> tuple[dict, dict]:
@@ -118,10 +101,12 @@ def _plain(ping: Problem, d: int) -> tuple[dict, dict]:
     if d == 3:  # the middle of receivers at one depth is a saddle
         middle = middle + jnp.asarray([0.0, 0.0, 1.0])
     found = fit(ping, middle, weight)
-    return {"position": found.position, "emission": found.emission}, {}
+    return {"position": found.position, "emission": found.emission, "cost": found.cost}, {}
 
 
-def least_squares(problem: Problem, d: int) -> Found:
+def least_squares(
+    problem: Problem, d: int, *, reach: float = np.inf, region: np.ndarray | None = None
+) -> Found:
     """Least squares of all arrivals from the middle of the receivers: the naive reference.
 
     Parameters
@@ -130,14 +115,11 @@ def least_squares(problem: Problem, d: int) -> Found:
         P pings.
     d : int
         2 or 3.
+    reach, region
+        As of `maloc.points._choose.choose`.
     """
-    values, _ = in_batches(_plain, problem, static={"d": d})
-    n = len(problem.heard)
-    return Found(
-        values["position"],
-        values["emission"],
-        problem.heard,
-        np.zeros(n, bool),
-        np.full((n, d), np.nan),
-        np.full(n, "", "U1"),
-    )
+    value, _ = in_batches(_plain, problem, static={"d": d})
+    twice = {k: np.repeat(v[:, None], 2, axis=1) for k, v in value.items()}
+    twice["any"] = np.tile([True, False], (len(problem.heard), 1))
+    used = np.repeat(problem.heard[:, :, None], 2, axis=2)
+    return choose(problem, twice, used, d, reach=reach, region=region)

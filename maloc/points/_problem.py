@@ -15,7 +15,15 @@ import numpy as np
 
 from maloc.data.arrivals import ArrivalTimes
 
-__all__ = ["Found", "Problem", "bounds", "in_batches", "problem_of", "spread_columns"]
+__all__ = [
+    "Found",
+    "Problem",
+    "in_batches",
+    "problem_of",
+    "ranges_of",
+    "residuals",
+    "spread_columns",
+]
 
 _WIDTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 _BATCHES = (64, 256)
@@ -88,34 +96,47 @@ class Found(NamedTuple):
     arrival_extra: dict[str, np.ndarray] = {}
 
 
+def ranges_of(toa: ArrivalTimes) -> np.ndarray:
+    """Sound speed x (arrival - the ping's first arrival), (P, R) m; NaN where not heard."""
+    first = np.where(toa.heard, toa.toa, np.inf).min(axis=1, keepdims=True)
+    return (toa.toa - np.where(np.isfinite(first), first, np.nan)) * toa.sound_speed[:, None]
+
+
+def residuals(problem: Problem, found: Found) -> np.ndarray:
+    """Residuals (P, M) m at the positions found."""
+    d = found.position.shape[1]
+    offset = found.position[:, None] - problem.place[..., :d]
+    square = (offset**2).sum(-1) + (0.0 if d == 3 else problem.place[..., 2] ** 2)
+    return problem.range - found.emission[:, None] - np.sqrt(square)
+
+
 def problem_of(
-    toa: ArrivalTimes, below: np.ndarray, sigma: float | np.ndarray
+    ranges: np.ndarray, xy: np.ndarray, below: np.ndarray, sigma: np.ndarray
 ) -> tuple[Problem, np.ndarray]:
     """Return the padded arrays of all pings, and the column (P, M) each arrival came from.
 
     Parameters
     ----------
-    toa : ArrivalTimes
-        P pings, R columns.
+    ranges : array (P, R)
+        Sound speed x (arrival - first arrival), m; NaN = not heard.
+    xy : array (R, 2)
+        Receivers, m.
     below : array (P, R)
         What goes into `Problem.place` as depth, m.
-    sigma : float or array (P, R)
+    sigma : array (P, R)
         Standard deviation of an arrival's error, m.
     """
-    heard = toa.heard
+    heard = np.isfinite(ranges)
     width = int(max(heard.sum(1).max(initial=0), 1))
-    first = np.where(heard, toa.toa, np.inf).min(axis=1, keepdims=True, initial=np.inf)
-    ranges = np.where(heard, (toa.toa - np.where(np.isfinite(first), first, 0)), np.inf)
-    ranges *= toa.sound_speed[:, None]
+    ranges = np.where(heard, ranges, np.inf)
     column = np.argsort(ranges, axis=1, kind="stable")
-    sigma = np.broadcast_to(np.asarray(sigma, float), heard.shape)
     if np.ptp(sigma, axis=1).any():
         ordered = np.take_along_axis(np.where(heard, sigma, np.inf), column, axis=1)
         column = np.take_along_axis(column, np.argsort(ordered, axis=1, kind="stable"), axis=1)
     column = column[:, :width]
     kept = np.take_along_axis(heard, column, axis=1)
     place = np.empty((*column.shape, 3))
-    place[..., 0], place[..., 1] = toa.receivers.x[column], toa.receivers.y[column]
+    place[..., :2] = xy[column]
     place[..., 2] = np.take_along_axis(below, column, axis=1)
     return Problem(
         range=np.where(kept, np.take_along_axis(ranges, column, axis=1), 0.0),
@@ -130,13 +151,6 @@ def spread_columns(values: np.ndarray, column: np.ndarray, n: int, fill: Any) ->
     out = np.full((len(values), n), fill, values.dtype)
     np.put_along_axis(out, column, values, axis=1)
     return out
-
-
-def bounds(xy: np.ndarray, margin: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (2,) of the box of points (R, 2), wider by `margin` diagonals."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    more = margin * max(float(np.linalg.norm(high - low)), 1.0)
-    return low - more, high + more
 
 
 @lru_cache(maxsize=64)

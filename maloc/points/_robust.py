@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from maloc._jax import jnp
-from maloc.points._choose import choose
+from maloc.points._choose import SAME, choose
 from maloc.points._closed import minimal
 from maloc.points._lm import distances, fit
 from maloc.points._problem import Found, Problem, in_batches
@@ -187,6 +187,8 @@ def _consensus(
     # the rival: the best hypothesis that is another place
     gap = jnp.sqrt(sum((position[i] - first[0][i]) ** 2 for i in range(d)))
     gap0 = jnp.sqrt(sum((position[i] - position[i, best]) ** 2 for i in range(d)))
+    # of one minimal set the rival is the other root, however near
+    apart = jnp.where(jnp.sum(ping.heard) == d + 1, SAME, apart)
     other = allowed & (gap > apart) & (gap0 > apart)
     second = rank(z, ping.heard, to_prior, other, delta, early)
     rival = refine(ping, position[:, second], emission[second], delta, early, rounds)

@@ -1,0 +1,43 @@
+"""The arrivals' standard deviation and the array's extent, from the pings themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maloc.data.arrivals import ArrivalTimes
+from maloc.points._problem import problem_of, ranges_of, residuals
+
+__all__ = ["diameter", "estimate_sigma"]
+
+
+def diameter(toa: ArrivalTimes) -> float:
+    """Largest extent of the receivers that heard something, m."""
+    used = toa.receivers.xy[toa.heard.any(axis=0)]
+    return max(float(np.linalg.norm(np.ptp(used, axis=0))), 1.0)
+
+
+def estimate_sigma(toa: ArrivalTimes, below: np.ndarray, d: int, most: int = 512) -> float:
+    """Standard deviation of direct arrivals' errors, m, from pings with arrivals to spare.
+
+    The median absolute residual of a consensus, each corrected for what the fit took; twice, the
+    second time with the first's answer. 1.5 m (1 ms) where no ping has two arrivals to spare.
+    """
+    from maloc.points._robust import consensus
+
+    rows = np.flatnonzero(toa.n_heard >= d + 3)
+    rows = rows[:: max(1, len(rows) // most)]
+    if not len(rows):
+        return 1.5
+    ranges = ranges_of(toa)[rows]
+    scale = 4.0
+    for _ in range(3):
+        problem, _ = problem_of(ranges, toa.receivers.xy, below[rows], np.full(ranges.shape, scale))
+        found = consensus(problem, d, reach=2 * diameter(toa))
+        count = found.used.sum(axis=1)
+        spare = (count >= d + 3) & ~found.ambiguous
+        if not spare.any():
+            return 1.5
+        free = np.sqrt(count / np.maximum(count - d - 1, 1))[:, None]
+        residual = np.abs(residuals(problem, found) * free)[found.used & spare[:, None]]
+        scale = max(1.4826 * float(np.median(residual)), 0.1)
+    return scale
