@@ -18,7 +18,7 @@ __all__ = [
     "group",
     "match",
     "matrix",
-    "refuse_clocks",
+    "check_clocks",
     "slack_of",
     "travel_slack",
     "window_width",
@@ -27,7 +27,7 @@ __all__ = [
 SHARE = 0.4  # of the shortest interval: two pings never share a window, with room for clocks
 WIDEST = 10.0  # s; window where nothing is known of the schedule
 RANGE = 1500.0  # m; few tags are heard further away
-OFTEN = 0.05  # more times from ping to ping than this share above an interval: it is wrong
+OFTEN = 0.05  # more times from ping to ping than this share outside the limits: worth a warning
 TOO_CLOSE = 0.2  # more pings than this share nearer than an interval: clocks are apart
 MEND = "bring the clocks together first: maloc.sync.fit, or maloc.sync.rough without sync tags"
 
@@ -108,20 +108,28 @@ def _medians(work: Sorting) -> np.ndarray:
     return (time[start + (size - 1) // 2] + time[start + size // 2]) / 2
 
 
-def refuse_clocks(
+def check_clocks(
     works: list[Sorting], times: list[np.ndarray], shortest: float, width: float
-) -> None:
-    """Refuse clocks so far apart that one ping becomes several."""
+) -> list[Note]:
+    """Refuse clocks so far apart that one ping becomes several; warn where a few do.
+
+    Raises
+    ------
+    InputError
+        If more than a fifth of the times from ping to ping are too short.
+    """
     steps = np.concatenate([np.diff(t) for t in times])
     alone = sum(w.startswith("alone") for work in works for a in work.aside for w in a[2])
-    close = int((steps < shortest - width).sum()) + alone
-    if len(steps) >= 10 and close > TOO_CLOSE * (len(steps) + alone):
-        raise InputError(
-            f"{close} of {len(steps) + alone} times from ping to ping are shorter than the "
-            f"shortest interval, {shortest:g} s: the clocks look unsynchronised, or the interval "
-            "is wrong",
-            mend=MEND,
-        )
+    close, total = int((steps < shortest - width).sum()) + alone, len(steps) + alone
+    if close < 3 or close <= OFTEN * total:
+        return []
+    text = (
+        f"{close} of {total} times from ping to ping are shorter than the shortest interval, "
+        f"{shortest:g} s: the clocks look unsynchronised, or the interval is wrong"
+    )
+    if total >= 10 and close > TOO_CLOSE * total:
+        raise InputError(text, mend=MEND)
+    return [Note("warning", f"{text}; {MEND}", close)]
 
 
 def beyond(times: list[np.ndarray], schedule: Schedule, slack: float) -> list[Note]:

@@ -14,10 +14,10 @@ import numpy as np
 from maloc.data._encounter_pings import (
     all_aside,
     beyond,
+    check_clocks,
     group,
     match,
     matrix,
-    refuse_clocks,
     slack_of,
     window_width,
 )
@@ -135,7 +135,7 @@ def encounter_history(
             mend="compare the receivers' names in both files",
         )
     if sent is None and schedule.shortest > 0:
-        refuse_clocks(good, times, schedule.shortest, width)
+        notes += check_clocks(good, times, schedule.shortest, width)
     loose = slack_of(good) if slack is None else float(slack)
     if sent is None and schedule.kind == "random":
         notes += beyond(times, schedule, loose)

@@ -138,6 +138,9 @@ def test_clocks_too_far_apart_are_refused_with_a_mend():
     d, *_ = study(np.random.default_rng(4), clock=60.0, p=0.6)
     with pytest.raises(InputError, match="unsynchronised.*maloc.sync.rough"):
         encounter_history(d, receivers(), schedule=Schedule("random", 20, 40))
+    few, *_ = study(np.random.default_rng(4), clock=60.0, p=0.25)
+    h = encounter_history(few, receivers(), schedule=Schedule("random", 20, 40))
+    assert "unsynchronised" in h.report.warnings[0].text
 
 
 def test_windows_and_spans_that_make_no_sense():
