@@ -6,7 +6,8 @@ ping where it was, how surely, which arrivals were used, and where a second plac
 
 from __future__ import annotations
 
+from maloc.points.beacons import locate_by_beacons
 from maloc.points.locate import locate
 from maloc.points.result import Points
 
-__all__ = ["Points", "locate"]
+__all__ = ["Points", "locate", "locate_by_beacons"]

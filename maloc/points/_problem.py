@@ -95,6 +95,16 @@ class Found(NamedTuple):
     extra: dict[str, np.ndarray] = {}
     arrival_extra: dict[str, np.ndarray] = {}
 
+    def rows(self, which: np.ndarray) -> Found:
+        """The same for some pings."""
+
+        def cut(part: Any) -> Any:
+            if isinstance(part, dict):
+                return {k: v[which] for k, v in part.items()}
+            return None if part is None else part[which]
+
+        return Found(*(cut(part) for part in self))
+
 
 def ranges_of(toa: ArrivalTimes) -> np.ndarray:
     """Sound speed x (arrival - the ping's first arrival), (P, R) m; NaN where not heard."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from maloc import ArrivalTimes, Receivers
@@ -9,7 +11,7 @@ from maloc import ArrivalTimes, Receivers
 C = 1500.0
 
 
-def ring(m, size=400.0, depth=None):
+def ring(m, size=400.0, depth: Any = None):
     """Receivers on an uneven ring around the origin."""
     k = np.arange(m)
     angle = 2 * np.pi * (k + 0.2 * np.sin(3 * k)) / m
@@ -19,7 +21,17 @@ def ring(m, size=400.0, depth=None):
     return Receivers(np.array([f"R{i}" for i in k]), xy[:, 0], xy[:, 1], depth)
 
 
-def arrivals(receivers, xy, *, depth=None, sent=None, noise=0.0, late=None, heard=None, **fields):
+def arrivals(
+    receivers,
+    xy,
+    *,
+    depth: Any = None,
+    sent: Any = None,
+    noise: Any = 0.0,
+    late: Any = None,
+    heard: Any = None,
+    **fields: Any,
+):
     """Arrival times of pings at points (P, 2); `noise` and `late` (P, R) in m."""
     square = ((xy[:, None] - receivers.xy) ** 2).sum(-1)
     if depth is not None:
@@ -29,7 +41,7 @@ def arrivals(receivers, xy, *, depth=None, sent=None, noise=0.0, late=None, hear
     toa = sent[:, None] + reach / C
     if heard is not None:
         toa = np.where(heard, toa, np.nan)
-    return ArrivalTimes(toa, receivers, C, **fields)
+    return ArrivalTimes(toa, receivers, np.full(len(toa), C), **fields)
 
 
 def error(points, xy):
