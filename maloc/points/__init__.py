@@ -6,8 +6,9 @@ ping where it was, how surely, which arrivals were used, and where a second plac
 
 from __future__ import annotations
 
+from maloc.points.ambiguity import Rules, resolve
 from maloc.points.beacons import locate_by_beacons
 from maloc.points.locate import locate
 from maloc.points.result import Points
 
-__all__ = ["Points", "locate", "locate_by_beacons"]
+__all__ = ["Points", "Rules", "locate", "locate_by_beacons", "resolve"]

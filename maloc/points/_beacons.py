@@ -97,10 +97,10 @@ def rank_beacons(
     high = np.where(np.isfinite(when), np.searchsorted(first, when + window + 1), low)
     out = np.full((n, most), -1)
     for rows in np.array_split(np.arange(n), max(1, int((high - low).sum()) // 200_000)):
-        count = (high - low)[rows]
+        count: np.ndarray = (high - low)[rows]
         ping = np.repeat(rows, count)
         start = np.repeat(np.cumsum(count) - count, count)
-        beacon = np.repeat(low[rows], count) + np.arange(count.sum()) - start
+        beacon = np.repeat(low[rows], count) + (np.arange(len(start)) - start)
         both = heard[ping] & np.isfinite(beacons.toa[beacon])
         shared = both.sum(axis=1)
         with np.errstate(invalid="ignore"):
@@ -249,7 +249,8 @@ def refine_shared(
 
     if len(root) < d:
         return position, np.full((d, d), np.inf)
-    found = least_squares(residual, position, slope, method="lm" if len(root) >= d else "trf")
+    jac: Any = slope
+    found = least_squares(residual, position, jac, method="lm")
     gram: Any = found.jac.T @ found.jac
     singular = np.linalg.cond(gram) > 1e10
     return found.x, np.full((d, d), np.inf) if singular else np.linalg.inv(gram)

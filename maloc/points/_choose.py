@@ -91,12 +91,24 @@ def choose(
     # d + 1 arrivals agree on some place whatever they are: where others disagree that is no proof
     unproven = some & several & (mine.sum(axis=1) == d + 1)
     agreed &= ~(several & (agreed.sum(axis=1) <= d + 1))[:, None]
+    nothing = np.full((n, d), np.nan)
+    second = np.where(tie[:, None], position[row, two], np.nan)
+    other = Found(
+        second,
+        np.where(tie, emission[row, two], np.nan),
+        used[row, :, two] & tie[:, None],
+        tie,
+        nothing,
+        np.where(tie, "", "no second place"),
+        agreed=agreed,
+    )
     return Found(
         np.where(some[:, None], position[row, one], np.nan),
         np.where(some, emission[row, one], np.nan),
         mine,
         tie | unproven,
-        np.where(tie[:, None], position[row, two], np.nan),
+        second,
         why,
         agreed=agreed,
+        other=other,
     )

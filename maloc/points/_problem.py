@@ -78,6 +78,8 @@ class Found(NamedTuple):
         None: by `maloc.points.covariance.covariance` from those used.
     agreed : array (P, M) bool or None
         Arrivals that agree whichever of two places is right; None: those used.
+    other : Found or None
+        The alternatives, where the method knows more of them than the place.
     extra : dict
         Arrays (P, ...) for `Points.extra`.
     arrival_extra : dict
@@ -92,6 +94,7 @@ class Found(NamedTuple):
     why: np.ndarray
     covariance: np.ndarray | None = None
     agreed: np.ndarray | None = None
+    other: Found | None = None
     extra: dict[str, np.ndarray] = {}
     arrival_extra: dict[str, np.ndarray] = {}
 
@@ -101,6 +104,8 @@ class Found(NamedTuple):
         def cut(part: Any) -> Any:
             if isinstance(part, dict):
                 return {k: v[which] for k, v in part.items()}
+            if isinstance(part, Found):
+                return part.rows(which)
             return None if part is None else part[which]
 
         return Found(*(cut(part) for part in self))

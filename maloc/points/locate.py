@@ -207,6 +207,9 @@ def _points(
         time=first,
         tag=toa.tag,
         origin=toa.origin,
+        other=None
+        if found.other is None
+        else _points(toa, method, found.other, problem, column, rows, d),
         extra={k: whole(v) for k, v in found.extra.items()}
         | {
             k: whole(spread_columns(v, column[rows], r, np.nan))

@@ -57,6 +57,9 @@ class Points:
     sigma : float
         Standard deviation of an arrival's error, m, that was used or estimated; NaN where the
         arrivals had one each.
+    other : Points, optional
+        All about the alternatives: their covariances, emissions and so on; None where the method
+        does not say.
     extra : dict of str to array (P, ...)
         What one method knows and others do not, such as an effective sample size.
 
@@ -81,6 +84,7 @@ class Points:
     tag: str = ""
     origin: int | None = None
     sigma: float = float("nan")
+    other: Points | None = None
     extra: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
