@@ -110,6 +110,8 @@ def _sharpest(
     spread = np.full(len(rivals), np.inf)
     for n, c in enumerate(centre):
         rows = order[slice(*np.searchsorted(sorted_, [c - width, c + width]))]
+        if len(rows) < 4:  # nothing to tell scatter from
+            continue
         rows = rows[np.argsort(time[rows], kind="stable")]
         half = len(rows) // 2
         early, late = rows[:half], rows[half:]

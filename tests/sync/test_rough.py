@@ -45,3 +45,9 @@ def test_a_receiver_that_shares_no_ping_keeps_its_clock():
     found = rough(Detections(late, d.receiver, d.tag), RECEIVERS)
     assert (found.time[j == 5] == late[j == 5]).all()
     assert any("1 receivers share too few pings" in n.text for n in found.report.notes)
+
+
+def test_few_detections_are_left_alone():
+    rng = np.random.default_rng(2)
+    d, t, _ = heard(rng, np.zeros(6), np.zeros(6), n=8, p=0.4)
+    assert np.ptp((rough(d, RECEIVERS).time - START) / 1e9 - t) < 1.0
