@@ -23,7 +23,7 @@ KINDS = ("halfnormal", "logistic", "hazard")
 
 _LARGEST = 30.0  # of a logit or log hazard: beyond it p is 1 to a double
 _NEAREST = 0.1  # smoothing of the cusp of a curve at d = 0, in scales
-_GROUP = 8  # factors of at least 1e-30 multiplied before a log is taken: 1e-240 is still a double
+_GROUP = 8  # factors of at least 1e-30 multiplied before a log is taken: a double goes to 1e-308
 
 
 def _logit(p0):
@@ -70,20 +70,10 @@ def log_miss(linear, factor):
 @jax.custom_jvp
 def log_product(x: Float[Array, "*rest k"]) -> Float[Array, "*rest"]:
     """Sum of log(x) over the last axis by way of products of a few at a time."""
-    k = x.shape[-1]
-    if k == 0:
-        return jnp.zeros(x.shape[:-1])
-    groups = -(-k // _GROUP)
-    # receivers n, n + groups, n + 2 groups ... make a group: whole rows are multiplied
-    parts = [x[..., start : start + groups] for start in range(0, k, groups)]
-    product = parts[0]
-    for part in parts[1:]:
-        short = groups - part.shape[-1]
-        if short:
-            ones = jnp.ones((*x.shape[:-1], short))
-            part = jnp.concatenate([part, ones], axis=-1)
-        product = product * part
-    return jnp.sum(jnp.log(product), axis=-1)
+    whole = x.shape[-1] - x.shape[-1] % _GROUP
+    groups = x[..., :whole].reshape(*x.shape[:-1], whole // _GROUP, _GROUP)
+    rest = jnp.prod(x[..., whole:], axis=-1)
+    return jnp.sum(jnp.log(jnp.prod(groups, axis=-1)), axis=-1) + jnp.log(rest)
 
 
 @log_product.defjvp
