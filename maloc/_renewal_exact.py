@@ -1,0 +1,112 @@
+"""The renewal recursion over batches of gaps of like size (JAX)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from maloc._jax import jax, jnp
+
+LEAST_LOG_Q = -40.0  # a ping missed with a chance below e^-40: no digit of any answer
+_UNROLL_UP_TO = 16  # blocks; products of so many chances do not underflow
+
+
+@dataclass(frozen=True)
+class ExactPart:
+    """N gaps on one grid of nodes, a pytree.
+
+    Attributes
+    ----------
+    index : (N,) int32
+        Which gap of the data set; one beyond the last for padding.
+    left, right : (N, V) int32;  share : (N, V)
+        Path at knot v: log_q of states `left` and `right`, `share` of the way.
+    c0 : (N,);  first : (N, F);  later : (N, blocks * block)
+        End rows.
+    a : (rows, F);  beta : (lags, block, block);  diagonal : ()
+        The shared recursion.
+    coarse : int
+        Nodes from knot to knot, static.
+    """
+
+    index: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    share: np.ndarray
+    c0: np.ndarray
+    first: np.ndarray
+    later: np.ndarray
+    a: np.ndarray
+    beta: np.ndarray
+    diagonal: np.ndarray
+    coarse: int
+
+
+jax.tree_util.register_dataclass(
+    ExactPart,
+    data_fields=[f.name for f in fields(ExactPart) if f.name != "coarse"],
+    meta_fields=["coarse"],
+)
+
+
+def at_knots(part, log_q):
+    """Log q at the knots of each gap, (N, V)."""
+    left, right = log_q[part.left], log_q[part.right]
+    return left + part.share * (right - left)
+
+
+def q_on_grid(part: ExactPart, log_q):
+    """Q at the nodes of each gap, (N, blocks * block): log q is linear between knots."""
+    knots = at_knots(part, log_q)
+    share = jnp.arange(part.coarse) / part.coarse
+    between = knots[:, :-1, None] * (1 - share)[None, None]
+    between = between + knots[:, 1:, None] * share[None, None]
+    fine = between.reshape(len(knots), -1)[:, : part.later.shape[1]]
+    return jnp.exp(jnp.maximum(fine, LEAST_LOG_Q))
+
+
+def log_likelihood(part: ExactPart, log_q):
+    """Log G of each gap, (N,)."""
+    q = q_on_grid(part, log_q)
+    n, m = len(q), part.beta.shape[-1]
+    lags = len(part.beta)
+    early = q[:, : part.first.shape[1]]
+    constant = part.c0 + jnp.einsum("nk,nk->n", part.first, early)
+    started = (early @ part.a.T).reshape(n, -1, m)
+    q = q.reshape(n, -1, m)
+    blocks = q.shape[1]
+    weights = part.beta.reshape(lags * m, m)  # lag 1 first
+    window: list = []  # q H of the blocks before, the last one first
+
+    def solve(rhs, q_block):
+        return rhs / (1 - part.diagonal * q_block) if m == 1 else rhs
+
+    total = constant
+    unrolled = blocks if blocks <= _UNROLL_UP_TO else max(started.shape[1], lags)
+    for i in range(unrolled):
+        rhs = started[:, i] if i < started.shape[1] else jnp.zeros((n, m))
+        if window:
+            rhs = rhs + jnp.concatenate(window, axis=1) @ weights[: len(window) * m]
+        flow = q[:, i] * solve(rhs, q[:, i])
+        window = [flow, *window][:lags]
+        total = total + jnp.einsum("nk,nk->n", part.later[:, i * m : (i + 1) * m], flow)
+    if blocks == unrolled:
+        return jnp.log(total)
+
+    def step(carry, x):
+        past, total, scale = carry
+        q_block, later = x
+        flow = q_block * solve(past @ weights, q_block)
+        past = jnp.concatenate([flow, past[:, :-m]], axis=1)
+        total = total + jnp.sum(later * flow, axis=1)
+        size = jax.lax.stop_gradient(jnp.maximum(jnp.max(past, axis=1), total))
+        size = jnp.where(size > 0, size, 1.0)
+        return (past / size[:, None], total / size, scale + jnp.log(size)), None
+
+    past = jnp.concatenate(window, axis=1)
+    rest = q[:, unrolled:].swapaxes(0, 1)
+    later = part.later[:, unrolled * m :].reshape(n, -1, m).swapaxes(0, 1)
+    (_, total, scale), _ = jax.lax.scan(step, (past, total, jnp.zeros(n)), (rest, later), unroll=2)
+    # padding (c0 = 1, no flow) stays exact; a real gap's end row is never all zero
+    return jnp.log(jnp.where(total > 0, total, 1.0)) + scale

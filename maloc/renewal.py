@@ -1,0 +1,144 @@
+"""Missed pings summed out: the thinned-renewal likelihood of the gaps between heard pings.
+
+A tag pings at intervals of a known law; a ping sent where q is the chance that nobody hears it is
+missed with probability q. The likelihood of a gap of D seconds, whatever number of pings was missed
+in it and whenever, solves a renewal equation (Cox 1962, Renewal Theory, thinned):
+
+    G(s) = f(s) + integral_0^s G(s') q(s') f(s - s') ds'.
+
+How a gap is computed, by a fixed rule:
+
+- Poisson cues: closed form (`maloc._renewal_poisson`).
+- Laws of sd < .06 mean, and stable ones: the sum over counts, pings evenly spread given their
+  number (`maloc._renewal_counts`).
+- Gaps longer than max(10, .36 mean^2 / sd^2) mean intervals: the adiabatic closed form, in which
+  G decays at the rate of the local q (`maloc._renewal_long`).
+- All others: the equation itself on a fine grid (`maloc._renewal_grid`, `maloc._renewal_exact`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maloc import _renewal_exact, _renewal_pack
+from maloc._jax import jax, jnp
+from maloc._renewal_pack import Gap, gap_nodes
+from maloc.data.model_data import bucket
+from maloc.intervals import IntervalLaw, interval_law
+
+__all__ = [
+    "Gap",
+    "Gaps",
+    "gap_log_likelihood",
+    "gap_nodes",
+    "interval_law",
+    "missed_mean",
+    "pack_gaps",
+]
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """All gaps of a data set, ready for the likelihood: a pytree, the law static.
+
+    Attributes
+    ----------
+    parts : tuple
+        Batches of gaps of one kind of computation and like size.
+    constant : (G,)
+        Log likelihood of gaps that say nothing of the path; 0 for the others and for padding.
+    impossible : (G,) bool
+        Gaps that no number of missed pings explains: they have the floor's likelihood.
+    valid : (G,) bool
+        False for padding.
+    gaps : tuple of Gap
+        What was packed, for draws; not part of the pytree.
+    law : IntervalLaw
+        Law of the burst interval, static.
+    """
+
+    parts: tuple[Any, ...]
+    constant: np.ndarray
+    impossible: np.ndarray
+    valid: np.ndarray
+    law: IntervalLaw
+    gaps: Any = None
+
+
+def _flatten(gaps: Gaps):
+    return (gaps.parts, gaps.constant, gaps.impossible, gaps.valid), gaps.law
+
+
+def _unflatten(law, children) -> Gaps:
+    return Gaps(*children, law)
+
+
+jax.tree_util.register_pytree_node(Gaps, _flatten, _unflatten)
+
+
+def pack_gaps(gaps: list[Gap], law: IntervalLaw, *, pad: bool = True, like: Gaps | None = None):
+    """Arrays of the gaps of a data set, weights included.
+
+    Parameters
+    ----------
+    gaps : list of Gap
+    law : IntervalLaw
+        Law of the burst interval.
+    pad : bool
+        Pad every batch to a bucket, so that one compilation serves many data sets.
+    like : Gaps, optional
+        Pad every batch at least to the size it has there.
+
+    Returns
+    -------
+    Gaps
+    """
+    size = bucket(len(gaps)) if pad else len(gaps)
+    if like is not None:
+        size = max(size, len(like.valid))
+    constant, impossible = np.zeros(size), np.zeros(size, bool)
+    parts = _renewal_pack.parts_of(gaps, law, size, pad, like.parts if like else ())
+    parts, constant[: len(gaps)], impossible[: len(gaps)] = parts
+    packed = Gaps(tuple(parts), constant, impossible, np.arange(size) < len(gaps), law)
+    packed = jax.device_put(packed)
+    object.__setattr__(packed, "gaps", tuple(gaps))
+    return packed
+
+
+_MODULES = {
+    _renewal_exact.ExactPart: _renewal_exact,
+}
+
+
+def gap_log_likelihood(gaps: Gaps, log_q):
+    """Log likelihood of every gap, the missed pings in it summed out.
+
+    Parameters
+    ----------
+    gaps : Gaps
+    log_q : (S,)
+        Log probability that a ping sent at each state of the chain is heard by nobody.
+
+    Returns
+    -------
+    (G,) array
+        Log density of the gap (inside: of the next heard ping's time; before: of the first heard
+        ping's time), or log probability of the silence (after); 0 for padding. Differentiable
+        twice.
+    """
+    total = jnp.concatenate([gaps.constant, jnp.zeros(1)])
+    for part in gaps.parts:
+        value = _MODULES[type(part)].log_likelihood(part, log_q)
+        total = total.at[part.index].add(jnp.where(part.index < len(gaps.valid), value, 0.0))
+    return total[:-1]
+
+
+def missed_mean(gaps: Gaps, log_q):
+    """Expected number of missed pings in every gap given the path, (G,).
+
+    The derivative of log G when every log q grows alike: each missed ping brings one factor q.
+    """
+    return jax.jvp(lambda v: gap_log_likelihood(gaps, v), (log_q,), (jnp.ones_like(log_q),))[1]
