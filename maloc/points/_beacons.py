@@ -100,7 +100,7 @@ def rank_beacons(
         count: np.ndarray = (high - low)[rows]
         ping = np.repeat(rows, count)
         start = np.repeat(np.cumsum(count) - count, count)
-        beacon = np.repeat(low[rows], count) + (np.arange(len(start)) - start)
+        beacon = np.repeat(low[rows], count) + np.subtract(np.arange(len(start)), start)
         both = heard[ping] & np.isfinite(beacons.toa[beacon])
         shared = both.sum(axis=1)
         with np.errstate(invalid="ignore"):
@@ -110,7 +110,7 @@ def rank_beacons(
         variance = np.where(both, beacons.sigma[beacon] ** 2, 0.0).sum(axis=1) / shared
         order = np.lexsort((gap, variance, gap >= near, -shared, ping))
         ping, beacon = ping[order], beacon[order]
-        place = np.arange(len(ping)) - np.searchsorted(ping, ping)
+        place = np.arange(len(ping)) - np.asarray(np.searchsorted(ping, ping))
         chosen = place < most
         out[ping[chosen], place[chosen]] = beacon[chosen]
     return out

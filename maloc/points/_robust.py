@@ -21,7 +21,7 @@ from maloc.points._closed import minimal
 from maloc.points._lm import distances, fit
 from maloc.points._problem import Found, Problem, in_batches
 
-__all__ = ["consensus", "hypotheses", "refine", "sets", "truncated_cost"]
+__all__ = ["allowed", "consensus", "hypotheses", "refine", "sets", "truncated_cost"]
 
 
 @cache
@@ -148,7 +148,7 @@ def refine(
     return position, emission, inlier, truncated_cost(z, ping.heard, delta, early)
 
 
-def _allowed(ping: Problem, position: Any, reach: Any, region: Any) -> Any:
+def allowed(ping: Problem, position: Any, reach: Any, region: Any) -> Any:
     """Hypotheses (d, H) within reach of a receiver that heard the ping, and in the region."""
     square = sum((position[i][None] - ping.place[:, i, None]) ** 2 for i in range(2))
     near = jnp.min(jnp.where(ping.heard[:, None], square, jnp.inf), axis=0) <= reach**2
@@ -178,25 +178,25 @@ def _consensus(
 ) -> tuple[dict, dict]:
     position, emission, _ = hypotheses(ping, d, most)
     z = _weighted(ping, position, emission)
-    allowed = _allowed(ping, position, reach, region)
+    usable = allowed(ping, position, reach, region)
     known = jnp.isfinite(prior[0])
     to_prior = jnp.sqrt(sum((position[i] - prior[i]) ** 2 for i in range(2)))
-    to_prior = jnp.where(known & allowed, to_prior, 0.0)
-    best = rank(z, ping.heard, to_prior, allowed, delta, early)
+    to_prior = jnp.where(known & usable, to_prior, 0.0)
+    best = rank(z, ping.heard, to_prior, usable, delta, early)
     first = refine(ping, position[:, best], emission[best], delta, early, rounds)
     # the rival: the best hypothesis that is another place
     gap = jnp.sqrt(sum((position[i] - first[0][i]) ** 2 for i in range(d)))
     gap0 = jnp.sqrt(sum((position[i] - position[i, best]) ** 2 for i in range(d)))
     # of one minimal set the rival is the other root, however near
     apart = jnp.where(jnp.sum(ping.heard) == d + 1, SAME, apart)
-    other = allowed & (gap > apart) & (gap0 > apart)
+    other = usable & (gap > apart) & (gap0 > apart)
     second = rank(z, ping.heard, to_prior, other, delta, early)
     rival = refine(ping, position[:, second], emission[second], delta, early, rounds)
     return {
         "position": jnp.stack([first[0], rival[0]]),
         "emission": jnp.stack([first[1], rival[1]]),
         "cost": jnp.stack([first[3], rival[3]]),
-        "any": jnp.stack([jnp.any(allowed), jnp.any(other)]),
+        "any": jnp.stack([jnp.any(usable), jnp.any(other)]),
     }, {"used": jnp.stack([first[2], rival[2]], axis=1)}
 
 
