@@ -1,0 +1,124 @@
+# pyright: reportIndexIssue=false
+"""What the detection models share: priors and sites of movement and of detection.
+
+Scales come from the data (receiver spacing, burst interval), so that one prior serves metres and
+the paper's grid units: medians are set by them, with a factor of e or more either way.
+"""
+
+from __future__ import annotations
+
+import numpyro
+import numpyro.distributions as dist
+
+from maloc._jax import jax, jnp
+from maloc.detection import KINDS, encounters, linear_shift
+from maloc.movement import CTCRW, Brownian
+from maloc.statespace import SoftBox
+
+__all__ = ["UNITS", "MissedPings", "detection", "placed", "refuse_unknown", "track"]
+
+UNITS = {"scale": "m", "sigma_step": "m/s^.5", "sigma_vel": "m/s", "t05": "s"}
+MOVEMENT = ("rw", "ctcrw")
+
+
+def refuse_unknown(movement: str | None, detection: str) -> None:
+    """Raise ValueError for an option that is none of the known."""
+    for option, known in ((movement, MOVEMENT), (detection, KINDS)):
+        if option is not None and option not in known:
+            raise ValueError(f"{option!r} is none of {', '.join(known)}")
+
+
+def _by_tag(name: str, median, spread: float, n_tags: int, hierarchical: bool):
+    """A positive movement parameter: one for all tags, or one a tag around a common median."""
+    value = numpyro.sample(name, dist.LogNormal(jnp.log(median), spread))
+    if not hierarchical:
+        return value
+    between = numpyro.sample(f"{name}_between", dist.HalfNormal(0.5))
+    off = numpyro.sample(f"{name}_tag", dist.Normal(0.0, 1.0).expand([n_tags]).to_event(1))
+    return value * jnp.exp(between * off)
+
+
+def track(data, movement: str, hierarchical: bool):
+    """Sites of the path: positions (S, 2), tags starting anywhere in the state space."""
+    start = SoftBox(data.low, data.high, data.edge)
+    how = {"tag": data.tag, "start": start}
+    if movement == "rw":
+        median = 0.2 * data.spacing / jnp.sqrt(data.interval)
+        sigma = _by_tag("sigma_step", median, 1.5, data.n_tags, hierarchical)
+        position = numpyro.sample("track", Brownian(data.dt, sigma, start.mean, **how))
+    else:
+        median = 0.1 * data.spacing / data.interval
+        sigma = _by_tag("sigma_vel", median, 1.5, data.n_tags, hierarchical)
+        t05 = _by_tag("t05", 10.0 * data.interval, 1.5, data.n_tags, hierarchical)
+        position = numpyro.sample("track", CTCRW(data.dt, sigma, t05, start.mean, **how))[:, 0]
+    placed(data, position)
+    return position
+
+
+def placed(data, position) -> None:
+    """Record the positions; hold those of padding, which the flat state space would let go."""
+    numpyro.deterministic("position", position)
+    middle, size = 0.5 * (data.low + data.high), data.high - data.low
+    off = jnp.sum(((position - middle[None]) / size[None]) ** 2, axis=1)
+    numpyro.factor("padding", jnp.where(data.valid, 0.0, -0.5 * off))
+
+
+def detection(data, position, kind: str, loss: bool, receiver_effects: bool, dispersion: bool):
+    """Sites of detection: the law (`maloc.detection.Encounters`) of who hears a ping sent there."""
+    p0 = numpyro.sample("p0", dist.Uniform(0.0, 1.0))
+    scale = numpyro.sample("scale", dist.LogNormal(jnp.log(data.spacing), 1.0))
+    shape = None
+    if kind == "hazard":
+        shape = numpyro.sample("shape", dist.LogNormal(jnp.log(3.0), 0.5))
+    coefficients = effects = p_lost = spread = None
+    if n := data.covariates.shape[-1]:
+        coefficients = numpyro.sample("coefficient", dist.Normal(0, 1).expand([n]).to_event(1))
+    if receiver_effects:
+        sd = numpyro.sample("receiver_sd", dist.HalfNormal(1.0))
+        each = dist.Normal(0.0, 1.0).expand([data.receiver_xy.shape[0]]).to_event(1)
+        effects = sd * numpyro.sample("receiver_effect", each)
+    if loss:
+        p_lost = numpyro.sample("p_lost", dist.Beta(1.0, 4.0))
+    if dispersion:
+        spread = numpyro.sample("dispersion", dist.HalfNormal(1.0))
+    shift = linear_shift(data.covariates, coefficients, effects, data.receiver)
+    return encounters(
+        kind, position, data.near_xy, data.listening, p0, scale, shape,
+        shift=shift, p_lost=p_lost, dispersion=spread,
+    )  # fmt: skip
+
+
+class MissedPings(dist.Distribution):
+    """What the gaps between heard pings say of the path: pings missed in them are summed out.
+
+    Batch shape (G,), the gaps; the value is of no account. For the engine's Gauss-Newton curvature
+    each node counts by the number of pings expected to have been missed there (an EM surrogate:
+    the same gradient, and one state a term).
+    """
+
+    local = True
+    arg_constraints = {}
+    support = dist.constraints.real
+    pytree_data_fields = ("gaps", "log_q", "log_density")
+
+    def __init__(self, gaps, log_q, *, validate_args=None) -> None:
+        from maloc.renewal import gap_log_likelihood
+
+        self.gaps, self.log_q = gaps, log_q
+        self.log_density = gap_log_likelihood(gaps, log_q)
+        super().__init__(self.log_density.shape, (), validate_args=validate_args)
+
+    def log_prob(self, value):
+        """Log likelihood of each gap (G,)."""
+        return self.log_density
+
+    def local_log_prob(self, value, here):
+        """The surrogate around ``here``: expected misses times log q, (S,)."""
+        from maloc.renewal import gap_log_likelihood
+
+        expected = jax.grad(lambda log_q: gap_log_likelihood(here.gaps, log_q).sum())(here.log_q)
+        return expected * self.log_q
+
+    def sample(self, key, sample_shape=()):
+        """Zeros: gaps are given, not drawn."""
+        return jnp.zeros(self.shape(sample_shape))
