@@ -99,8 +99,8 @@ def rank_beacons(
     for rows in np.array_split(np.arange(n), max(1, int((high - low).sum()) // 200_000)):
         count: np.ndarray = (high - low)[rows]
         ping = np.repeat(rows, count)
-        start = np.repeat(np.cumsum(count) - count, count)
-        beacon = np.repeat(low[rows], count) + np.subtract(np.arange(len(start)), start)
+        before = np.repeat(low[rows] - np.cumsum(count) + count, count)
+        beacon = before + np.arange(len(before))
         both = heard[ping] & np.isfinite(beacons.toa[beacon])
         shared = both.sum(axis=1)
         with np.errstate(invalid="ignore"):
@@ -108,7 +108,7 @@ def rank_beacons(
         keep = (shared > 0) & (gap <= window)
         ping, beacon, both, shared, gap = (a[keep] for a in (ping, beacon, both, shared, gap))
         variance = np.where(both, beacons.sigma[beacon] ** 2, 0.0).sum(axis=1) / shared
-        order = np.lexsort((gap, variance, gap >= near, -shared, ping))
+        order = np.lexsort((gap, variance, gap >= near, np.negative(shared), ping))
         ping, beacon = ping[order], beacon[order]
         place = np.arange(len(ping)) - np.asarray(np.searchsorted(ping, ping))
         chosen = place < most

@@ -65,10 +65,10 @@ def dbscan(position: Any, usable: Any, eps: Any, least: int) -> Any:
 
 def _central(position: Any, member: Any) -> Any:
     """Index of the member nearest the median of the members' coordinates (2 or 3, H)."""
-    distance = jnp.zeros(member.shape)
-    for axis in position:
-        middle = jnp.nanmedian(jnp.where(member, axis, jnp.nan))
-        distance = distance + (axis - middle) ** 2
+    count = jnp.maximum(jnp.sum(member), 1)
+    ordered = jnp.sort(jnp.where(member[None], position, jnp.inf), axis=1)
+    middle = (ordered[:, (count - 1) // 2] + ordered[:, count // 2]) / 2
+    distance = sum((position[i] - middle[i]) ** 2 for i in range(len(position)))
     return jnp.argmin(jnp.where(member, distance, jnp.inf))
 
 
@@ -147,6 +147,7 @@ def cluster(
         (delta, early, reach, eps, polygon),
         static={"d": d, "most": most, "least": least, "rounds": rounds},
         pings_last=False,
+        largest=64,
     )
     return choose(
         problem,
