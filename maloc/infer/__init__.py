@@ -1,9 +1,10 @@
-"""Inference: Laplace and NUTS/HMC on any chain-structured NumPyro model."""
+"""Inference: Laplace, NUTS/HMC and SVI on any chain-structured NumPyro model."""
 
 from __future__ import annotations
 
 from maloc.infer.laplace import laplace
 from maloc.infer.nuts import nuts
 from maloc.infer.result import Fit, LaplaceFit, SampledFit
+from maloc.infer.svi import SviFit, svi
 
-__all__ = ["Fit", "LaplaceFit", "SampledFit", "laplace", "nuts"]
+__all__ = ["Fit", "LaplaceFit", "SampledFit", "SviFit", "laplace", "nuts", "svi"]
