@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maloc.data.arrivals import Schedule
 from maloc.data.encounters import EncounterHistory
+from maloc.intervals import IntervalLaw, interval_law
 
-__all__ = ["Silence", "find_gaps", "most_missed", "widened"]
+__all__ = ["Silence", "find_gaps", "law_of", "most_missed"]
 
 
 class Silence(NamedTuple):
@@ -37,14 +37,9 @@ class Silence(NamedTuple):
     first_at_start: bool = False
 
 
-def widened(history: EncounterHistory) -> Schedule:
-    """The schedule with the slack of the times from ping to ping added to its limits."""
-    s, slack = history.schedule, history.slack
-    if s.kind == "random":
-        return Schedule("random", max(s.lo - slack, 0.1 * s.lo), s.hi + slack)
-    if s.kind == "stable":
-        return Schedule("stable", s.lo, float(np.hypot(s.hi, slack)))
-    return s
+def law_of(history: EncounterHistory) -> IntervalLaw:
+    """Law of the burst interval, its edges widened by the slack of the pings' times."""
+    return interval_law(history.schedule, slack=history.slack)
 
 
 def find_gaps(history: EncounterHistory) -> list[Silence]:
@@ -71,8 +66,7 @@ def find_gaps(history: EncounterHistory) -> list[Silence]:
 
 def most_missed(history: EncounterHistory, gap: Silence) -> float:
     """Most pings that a gap can hold (Poisson: the mean number, which serves as the bound)."""
-    schedule = widened(history)
-    if schedule.kind == "poisson":
-        return gap.duration / schedule.lo
-    shortest = max(schedule.shortest, 0.1 * schedule.lo)
-    return np.floor(gap.duration / shortest) - (gap.kind == "inside") + (gap.kind == "before")
+    law = law_of(history)
+    if not law.lo > 0:
+        return gap.duration / law.mean
+    return np.floor(gap.duration / law.lo) - (gap.kind == "inside") + (gap.kind == "before")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maloc.data._encounter_gaps import Silence, find_gaps, widened
+from maloc.data._encounter_gaps import Silence, find_gaps, law_of
 from maloc.data.encounters import EncounterHistory
 from maloc.errors import InputError
 
@@ -37,9 +37,9 @@ def chain(history: EncounterHistory) -> States:
     found = find_gaps(history)
     nodes: list[np.ndarray] = []
     if found:
-        from maloc.renewal import gap_nodes, interval_law
+        from maloc.renewal import gap_nodes
 
-        law = interval_law(widened(history))
+        law = law_of(history)
         nodes = [np.asarray(gap_nodes(g.duration, g.kind, law)) for g in found]
     time, tag = [history.time], [history.tag]
     row = [np.arange(len(history))]

@@ -180,11 +180,11 @@ def to_model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
 def _gaps(history: EncounterHistory, found: list, pad: bool) -> Any:
     if not found:
         return None
-    from maloc.data._encounter_gaps import widened
-    from maloc.renewal import Gap, interval_law, pack_gaps
+    from maloc.data._encounter_gaps import law_of
+    from maloc.renewal import Gap, pack_gaps
 
     gaps = [Gap(g.kind, g.duration, nodes, at, g.first_at_start) for g, nodes, at in found]
-    return pack_gaps(gaps, interval_law(widened(history)), pad=pad)
+    return pack_gaps(gaps, law_of(history), pad=pad)
 
 
 def _interval(history: EncounterHistory) -> float:
