@@ -20,6 +20,8 @@ class ExactPart:
     ----------
     index : (N,) int32
         Which gap of the data set; one beyond the last for padding.
+    duration : (N,) s;  kind : (N,) int32
+        Kind: place in `maloc._renewal_long.ENDS`.
     left, right : (N, V) int32;  share : (N, V)
         Path at knot v: log_q of states `left` and `right`, `share` of the way.
     c0 : (N,);  first : (N, F);  later : (N, blocks * block)
@@ -31,6 +33,8 @@ class ExactPart:
     """
 
     index: np.ndarray
+    duration: np.ndarray
+    kind: np.ndarray
     left: np.ndarray
     right: np.ndarray
     share: np.ndarray
@@ -63,7 +67,8 @@ def q_on_grid(part: ExactPart, log_q):
     between = knots[:, :-1, None] * (1 - share)[None, None]
     between = between + knots[:, 1:, None] * share[None, None]
     fine = between.reshape(len(knots), -1)[:, : part.later.shape[1]]
-    return jnp.exp(jnp.maximum(fine, LEAST_LOG_Q))
+    # beyond a gap's end, where no weight lies, it extrapolates
+    return jnp.exp(jnp.clip(fine, LEAST_LOG_Q, 1.0))
 
 
 def log_likelihood(part: ExactPart, log_q):
@@ -110,3 +115,35 @@ def log_likelihood(part: ExactPart, log_q):
     (_, total, scale), _ = jax.lax.scan(step, (past, total, jnp.zeros(n)), (rest, later), unroll=2)
     # padding (c0 = 1, no flow) stays exact; a real gap's end row is never all zero
     return jnp.log(jnp.where(total > 0, total, 1.0)) + scale
+
+
+def log_pmf(part: ExactPart, log_q, most: int):
+    """Log probability of 0..most missed pings, (N, most + 1).
+
+    H of exactly n missed pings follows from that of n - 1: H(1) = A q, H(n) = B (q H(n - 1)).
+    """
+    q = q_on_grid(part, log_q)
+    n, m = len(q), part.beta.shape[-1]
+    early = q[:, : part.first.shape[1]]
+    started = jnp.pad(early @ part.a.T, ((0, 0), (0, q.shape[1] - part.a.shape[0])))
+    shape = (n, q.shape[1] // m, m)
+
+    def step(carry, _):
+        flow, scale = carry
+        joint = jnp.sum(part.later * flow, axis=1)
+        rows = flow.reshape(shape)
+        after = jnp.zeros(shape)
+        for j, weights in enumerate(part.beta, 1):
+            after = after.at[:, j:].add(rows[:, :-j] @ weights)
+        if m == 1:
+            after = after + part.diagonal * rows
+        flow = q * after.reshape(q.shape)
+        size = jnp.max(flow, axis=1)
+        size = jnp.where(size > 0, size, 1.0)
+        return (flow / size[:, None], scale + jnp.log(size)), jnp.log(joint) + scale
+
+    begin = (q * started, jnp.zeros(n))
+    _, later = jax.lax.scan(step, begin, length=max(most - 1, 0))
+    one = jnp.log(jnp.sum(part.first * early, axis=1))
+    joint = jnp.stack([jnp.log(part.c0), one, *later], axis=1)[:, : most + 1]
+    return joint - log_likelihood(part, log_q)[:, None]

@@ -204,7 +204,7 @@ class Stable:
             raise InputError(f"stable interval {self.mean:g} s, sd {self.sd:g} s is not positive")
         if self.sd > 0.25 * self.mean:
             raise InputError(
-                f"stable interval: sd {self.sd:g} s is above a quarter of the mean, {self.mean:g} s",
+                f"stable interval: sd {self.sd:g} s is above a quarter of {self.mean:g} s",
                 mend="give it as random MIN MAX",
             )
 

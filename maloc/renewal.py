@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc import _renewal_exact, _renewal_pack
+from maloc import _renewal_counts, _renewal_exact, _renewal_long, _renewal_pack, _renewal_poisson
 from maloc._jax import jax, jnp
 from maloc._renewal_pack import Gap, gap_nodes
 from maloc.data.model_data import bucket
@@ -36,6 +36,7 @@ __all__ = [
     "gap_nodes",
     "interval_law",
     "missed_mean",
+    "missed_pmf",
     "pack_gaps",
 ]
 
@@ -54,8 +55,6 @@ class Gaps:
         Gaps that no number of missed pings explains: they have the floor's likelihood.
     valid : (G,) bool
         False for padding.
-    gaps : tuple of Gap
-        What was packed, for draws; not part of the pytree.
     law : IntervalLaw
         Law of the burst interval, static.
     """
@@ -65,21 +64,16 @@ class Gaps:
     impossible: np.ndarray
     valid: np.ndarray
     law: IntervalLaw
-    gaps: Any = None
 
 
-def _flatten(gaps: Gaps):
-    return (gaps.parts, gaps.constant, gaps.impossible, gaps.valid), gaps.law
+jax.tree_util.register_dataclass(
+    Gaps, data_fields=["parts", "constant", "impossible", "valid"], meta_fields=["law"]
+)
 
 
-def _unflatten(law, children) -> Gaps:
-    return Gaps(*children, law)
-
-
-jax.tree_util.register_pytree_node(Gaps, _flatten, _unflatten)
-
-
-def pack_gaps(gaps: list[Gap], law: IntervalLaw, *, pad: bool = True, like: Gaps | None = None):
+def pack_gaps(
+    gaps: list[Gap], law: IntervalLaw, *, pad: bool = True, like: Gaps | None = None
+) -> Gaps:
     """Arrays of the gaps of a data set, weights included.
 
     Parameters
@@ -100,16 +94,19 @@ def pack_gaps(gaps: list[Gap], law: IntervalLaw, *, pad: bool = True, like: Gaps
     if like is not None:
         size = max(size, len(like.valid))
     constant, impossible = np.zeros(size), np.zeros(size, bool)
-    parts = _renewal_pack.parts_of(gaps, law, size, pad, like.parts if like else ())
-    parts, constant[: len(gaps)], impossible[: len(gaps)] = parts
+    parts, alone, ruled_out = _renewal_pack.parts_of(
+        gaps, law, size, pad, like.parts if like else ()
+    )
+    constant[: len(gaps)], impossible[: len(gaps)] = alone, ruled_out
     packed = Gaps(tuple(parts), constant, impossible, np.arange(size) < len(gaps), law)
-    packed = jax.device_put(packed)
-    object.__setattr__(packed, "gaps", tuple(gaps))
-    return packed
+    return jax.device_put(packed)
 
 
 _MODULES = {
     _renewal_exact.ExactPart: _renewal_exact,
+    _renewal_long.LongPart: _renewal_long,
+    _renewal_counts.CountPart: _renewal_counts,
+    _renewal_poisson.PoissonPart: _renewal_poisson,
 }
 
 
@@ -142,3 +139,26 @@ def missed_mean(gaps: Gaps, log_q):
     The derivative of log G when every log q grows alike: each missed ping brings one factor q.
     """
     return jax.jvp(lambda v: gap_log_likelihood(gaps, v), (log_q,), (jnp.ones_like(log_q),))[1]
+
+
+def missed_pmf(gaps: Gaps, log_q, most: int):
+    """Probabilities of 0..most missed pings in every gap given the path.
+
+    Parameters
+    ----------
+    gaps : Gaps
+    log_q : (S,)
+        See `gap_log_likelihood`.
+    most : int
+        Last count; the chance of more is what is missing from 1.
+
+    Returns
+    -------
+    (G, most + 1) array
+        Exact; in the adiabatic form normal with the exact mean and variance. Padding: count 0.
+    """
+    out = jnp.zeros((len(gaps.valid) + 1, most + 1)).at[:, 0].set(1.0)
+    for part in gaps.parts:
+        pmf = jnp.exp(_MODULES[type(part)].log_pmf(part, log_q, most))
+        out = out.at[part.index].set(pmf)
+    return out[:-1]
