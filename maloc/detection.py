@@ -23,6 +23,8 @@ from numpyro.distributions import constraints
 from maloc._detection_curve import CAP, KINDS, curve, log_miss, log_product
 from maloc._jax import jax, jnp
 
+Numbers = Array | np.ndarray
+
 __all__ = [
     "CAP",
     "KINDS",
@@ -148,7 +150,7 @@ class Encounters(dist.Distribution):
     def __init__(
         self,
         linear: Array,
-        listening: Bool[Array, "S K"],
+        listening: Bool[Numbers, "S K"],
         factor: Array | None = None,
         p_lost: Any = None,
         log_weight: Float[Array, " Q"] | None = None,
@@ -185,7 +187,7 @@ class Encounters(dist.Distribution):
         miss = _where(self.listening, 1 - self._probability(), 1.0)
         return self._silent(self._mixed(log_product(miss)))
 
-    def log_prob(self, value: Bool[Array, "*N S K"]) -> Array:
+    def log_prob(self, value: Bool[Numbers, "*N S K"]) -> Array:
         """Log probability of histories ``value`` (..., S, K), shape (..., S)."""
         heard = jnp.asarray(value, bool)
         several = jnp.ndim(heard) - len(self.batch_shape) - 1
@@ -241,17 +243,17 @@ def _where(condition, yes, no):
 
 def encounters(
     kind: str,
-    position: Float[Array, "S 2"],
-    near_xy: Float[Array, "S K 2"],
-    listening: Bool[Array, "S K"],
+    position: Float[Numbers, "S 2"],
+    near_xy: Float[Numbers, "S K 2"],
+    listening: Bool[Numbers, "S K"],
     p0,
     scale,
     shape=None,
     *,
-    shift: Float[Array, "S K"] | None = None,
+    shift: Float[Numbers, "S K"] | None = None,
     p_lost=None,
     dispersion=None,
-    squared: Callable[[Array, Array], Array] = squared_distance,
+    squared: Callable[..., Array] = squared_distance,
 ) -> Encounters:
     """The law of who hears pings sent at these positions.
 
@@ -298,7 +300,7 @@ def encounters(
     ...     return squared_distance(position, near_xy) * (1 + apart) ** 2
     """
     listening = jnp.asarray(listening)
-    far = squared(position, near_xy)
+    far = squared(jnp.asarray(position), jnp.asarray(near_xy))
     if dispersion is None:
         linear, factor = curve(kind, far, p0, scale, shape, shift)
         return Encounters(linear, listening, factor, p_lost)
