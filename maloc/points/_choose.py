@@ -62,12 +62,12 @@ def choose(
     position, emission, cost = value["position"], value["emission"], value["cost"]
     n = len(position)
     ok = value["any"] & np.isfinite(position).all(-1) & (used.sum(axis=1) > d)
-    away = np.linalg.norm(
-        position[:, None, :, :2] - problem.place[:, :, None, :2], axis=-1
+    square = sum(
+        (position[:, None, :, i] - problem.place[:, :, None, i]) ** 2 for i in range(2)
     )  # (P, M, 2)
-    nearest = np.where(problem.heard[..., None], away, np.inf).min(axis=1)
+    nearest = np.where(problem.heard[..., None], square, np.inf).min(axis=1)
     polygon = np.zeros((0, 2)) if region is None else np.asarray(region, float)
-    fits = ok & (nearest <= reach) & inside(position[..., :2], polygon)
+    fits = ok & (nearest <= reach**2) & inside(position[..., :2], polygon)
     score = np.where(fits, cost, np.inf)
     one = (score[:, 1] < score[:, 0]).astype(int)
     several = problem.heard.sum(axis=1) > d + 1

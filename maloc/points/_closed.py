@@ -233,6 +233,8 @@ def closed_form(
     reach, region, prior
         As of `maloc.points._choose.choose`.
     """
-    value, _ = in_batches(_closed, problem, (), (tolerance,), static={"d": d, "kind": kind})
+    value, _ = in_batches(
+        _closed, problem, (), (tolerance,), static={"d": d, "kind": kind}, largest=2048
+    )
     used = np.repeat(problem.heard[:, :, None], 2, axis=2)
     return choose(problem, value, used, d, reach=reach, region=region, prior=prior)

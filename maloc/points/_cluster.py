@@ -96,16 +96,17 @@ def _clustered(
     first = label[jnp.argmax(size)]
     rest = jnp.where(label == first, 0, size)
     second = label[jnp.argmax(rest)]
-    found = []
-    for which in (first, second):
+
+    def place(_: Any, which: Any) -> tuple:
         index = _central(position, (label == which) & (label >= 0))
-        found.append(refine(ping, position[:, index], emission[index], delta, early, rounds))
-    return {
-        "position": jnp.stack([f[0] for f in found]),
-        "emission": jnp.stack([f[1] for f in found]),
-        "cost": jnp.stack([f[3] for f in found]),
-        "any": jnp.stack([jnp.max(size) > 0, jnp.max(rest) > 0]),
-    }, {"used": jnp.stack([f[2] for f in found], axis=1)}
+        return None, refine(ping, position[:, index], emission[index], delta, early, rounds)
+
+    _, found = jax.lax.scan(place, None, jnp.stack([first, second]))
+    places, emissions, used, cost = found
+    some = jnp.stack([jnp.max(size) > 0, jnp.max(rest) > 0])
+    return {"position": places, "emission": emissions, "cost": cost, "any": some}, {
+        "used": jnp.moveaxis(used, 0, 1)
+    }
 
 
 def cluster(

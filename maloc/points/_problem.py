@@ -25,8 +25,7 @@ __all__ = [
     "spread_columns",
 ]
 
-_WIDTHS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-_BATCHES = (64, 256)
+_WIDTHS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 
 
 class Problem(NamedTuple):
@@ -185,7 +184,7 @@ def in_batches(
     *,
     static: dict[str, Any] | None = None,
     pings_last: bool = True,
-    largest: int = _BATCHES[-1],
+    largest: int = 128,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Run a function of one ping over all of them.
 
@@ -206,7 +205,7 @@ def in_batches(
     pings_last : bool
         Lay pings out along the last axis (fast where each ping's arrays are small) or the first.
     largest : int
-        Most pings in one call, to bound memory.
+        Pings in one call; fewer are padded to it.
 
     Returns
     -------
@@ -225,9 +224,8 @@ def in_batches(
     for w in np.unique(width):
         mine = np.flatnonzero(width == w)
         for rows in np.split(mine, range(largest, len(mine), largest)):
-            size = min(next((b for b in _BATCHES if b >= len(rows)), _BATCHES[-1]), largest)
-            parts = [_cut(a, rows, size, int(w), axis) for a in problem]
-            more = [_cut(a, rows, size, None, axis) for a in per_ping]
+            parts = [_cut(a, rows, largest, int(w), axis) for a in problem]
+            more = [_cut(a, rows, largest, None, axis) for a in per_ping]
             one, each = run(Problem(*parts), *more, *shared)
             for out, found, extra in ((values, one, False), (arrivals, each, True)):
                 for name, value in found.items():

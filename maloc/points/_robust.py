@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc._jax import jnp
+from maloc._jax import jax, jnp
 from maloc.points._choose import SAME, choose
 from maloc.points._closed import minimal
 from maloc.points._lm import distances, fit
@@ -136,13 +136,17 @@ def refine(
     """
     d = len(position)
     precision = 1 / ping.sigma**2
-    for _ in range(rounds):
+
+    def once(_: Any, place: tuple) -> tuple:
+        position, emission = place
         z = (ping.range - emission - distances(ping.place, position)) / ping.sigma
         inlier = (abs(z) <= delta) & ping.heard
         enough = jnp.sum(inlier) > d
         found = fit(ping, position, jnp.where(inlier & enough, precision, 0.0), steps=12)
         position = jnp.where(enough, found.position, position)
-        emission = jnp.where(enough, found.emission, emission)
+        return position, jnp.where(enough, found.emission, emission)
+
+    position, emission = jax.lax.fori_loop(0, rounds, once, (position, emission))
     z = (ping.range - emission - distances(ping.place, position)) / ping.sigma
     inlier = (abs(z) <= delta) & ping.heard
     return position, emission, inlier, truncated_cost(z, ping.heard, delta, early)
@@ -182,22 +186,27 @@ def _consensus(
     known = jnp.isfinite(prior[0])
     to_prior = jnp.sqrt(sum((position[i] - prior[i]) ** 2 for i in range(2)))
     to_prior = jnp.where(known & usable, to_prior, 0.0)
-    best = rank(z, ping.heard, to_prior, usable, delta, early)
-    first = refine(ping, position[:, best], emission[best], delta, early, rounds)
-    # the rival: the best hypothesis that is another place
-    gap = jnp.sqrt(sum((position[i] - first[0][i]) ** 2 for i in range(d)))
-    gap0 = jnp.sqrt(sum((position[i] - position[i, best]) ** 2 for i in range(d)))
     # of one minimal set the rival is the other root, however near
     apart = jnp.where(jnp.sum(ping.heard) == d + 1, SAME, apart)
-    other = usable & (gap > apart) & (gap0 > apart)
-    second = rank(z, ping.heard, to_prior, other, delta, early)
-    rival = refine(ping, position[:, second], emission[second], delta, early, rounds)
-    return {
-        "position": jnp.stack([first[0], rival[0]]),
-        "emission": jnp.stack([first[1], rival[1]]),
-        "cost": jnp.stack([first[3], rival[3]]),
-        "any": jnp.stack([jnp.any(usable), jnp.any(other)]),
-    }, {"used": jnp.stack([first[2], rival[2]], axis=1)}
+
+    def away(place: Any) -> Any:
+        return ~(sum((position[i] - place[i]) ** 2 for i in range(d)) <= apart**2)
+
+    def place(taken: tuple, _: Any) -> tuple:
+        """The best hypothesis that is another place than those taken, refined."""
+        free = usable & away(taken[0]) & away(taken[1])
+        best = rank(z, ping.heard, to_prior, free, delta, early)
+        start = position[:, best]
+        found = refine(ping, start, emission[best], delta, early, rounds)
+        return (start, found[0]), (*found, jnp.any(free))
+
+    nowhere = jnp.full(d, jnp.nan)
+    _, (places, emissions, used, cost, some) = jax.lax.scan(
+        place, (nowhere, nowhere), None, length=2
+    )
+    return {"position": places, "emission": emissions, "cost": cost, "any": some}, {
+        "used": jnp.moveaxis(used, 0, 1)
+    }
 
 
 def consensus(

@@ -192,6 +192,12 @@ def _points(
         out[rows] = part
         return out
 
+    other = None
+    if found.other is not None:
+        some = np.flatnonzero(np.isfinite(found.alternative).all(axis=1))
+        part = found.other.rows(some)
+        other = _points(toa, method, part, problem, column, rows[some], d)
+        other = other.replace(why=np.where(other.located, "", "no second place"))
     return Points(
         position=whole(found.position),
         covariance=whole(cov),
@@ -207,9 +213,7 @@ def _points(
         time=first,
         tag=toa.tag,
         origin=toa.origin,
-        other=None
-        if found.other is None
-        else _points(toa, method, found.other, problem, column, rows, d),
+        other=other,
         extra={k: whole(v) for k, v in found.extra.items()}
         | {
             k: whole(spread_columns(v, column[rows], r, np.nan))
