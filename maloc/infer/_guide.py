@@ -21,13 +21,14 @@ import numpy as np
 
 from maloc._jax import jax, jnp
 from maloc.infer._chain import ChainFactor
+from maloc.infer._map import WhiteningMap
 from maloc.infer._model import ChainModel
 from maloc.infer.marginal import MarginalFit
 from maloc.infer.mode import _factor
 
 __all__ = [
     "Frame", "Guide", "covariances", "information", "laplace_frame", "log_density", "moved", "push",
-    "still",
+    "still", "whitening",
 ]  # fmt: skip
 
 
@@ -112,7 +113,8 @@ def _mixing(steps, lower: bool = False):
     """Triangular matrices near the identity (..., n, n); the diagonal by its logarithm."""
     outside = jnp.tril(steps, -1) if lower else jnp.triu(steps, 1)
     diagonal = jnp.exp(jnp.diagonal(steps, axis1=-2, axis2=-1))
-    return outside + diagonal[..., None] * jnp.eye(steps.shape[-1])
+    eye = jnp.eye(steps.shape[-1])
+    return outside + diagonal[..., None] * eye[(None,) * (steps.ndim - 2)]
 
 
 def still(frame: Frame) -> Guide:
@@ -193,3 +195,26 @@ def covariances(g: Guide, zeta):
     parts = g.root, g.carry, jnp.moveaxis(g.s, 1, 0), jnp.moveaxis(g.n, 1, 0)
     none = jnp.zeros((len(zeta), *g.root.shape[1:]))
     return jax.lax.scan(step, none, parts, reverse=True)[1]
+
+
+def whitening(g: Guide) -> WhiteningMap:
+    """The sampler's map nearest to the guide: S's diagonal, and no N."""
+    root, powers = _factor(_precision(g), g.x.shape[1]).doubled()
+    s = -jnp.diagonal(g.s, axis1=2, axis2=3)
+    return WhiteningMap(g.x, g.u, g.c, g.b, s, jnp.asarray(root), jnp.asarray(powers))
+
+
+def _precision(g: Guide) -> np.ndarray:
+    """Band (2 d, T d) of the path's precision at u_hat."""
+    length, d = g.x.shape
+    diagonal = np.linalg.inv(g.root).transpose(0, 2, 1)  # L_tt
+    below = -np.asarray(g.carry)[:-1].transpose(0, 2, 1) @ diagonal[:-1]  # L_(t+1,t)
+    own = diagonal @ diagonal.transpose(0, 2, 1)
+    own[1:] += below @ below.transpose(0, 2, 1)
+    columns = np.zeros((length, 2 * d, d))
+    columns[:, :d] = own
+    columns[:-1, d:] = below @ diagonal[:-1].transpose(0, 2, 1)
+    band = np.zeros((2 * d, length, d))
+    for j in range(d):
+        band[: 2 * d - j, :, j] = columns[:, j:, j].T
+    return band.reshape(2 * d, length * d)

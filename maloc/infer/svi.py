@@ -14,7 +14,8 @@ import numpy as np
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
 from maloc.infer._ascent import CHUNK, Seen, State, ascent, plan
-from maloc.infer._guide import Guide, laplace_frame, moved, still
+from maloc.infer._guide import Guide, laplace_frame, moved, still, whitening
+from maloc.infer._map import WhiteningMap
 from maloc.infer.laplace import laplace
 from maloc.infer.result import Fit, LaplaceFit
 
@@ -164,6 +165,10 @@ class SviFit(Fit):
         moving = np.einsum("kl,ktd->ltd", np.asarray(g.c), np.asarray(g.b))
         spread = np.einsum("lti,ltj->tij", moving, moving)
         return np.asarray(g.x)[:length], (given + spread)[:length]
+
+    def mapping(self) -> WhiteningMap:
+        """Whitening map for `nuts`."""
+        return whitening(self.guide)
 
 
 def _bar(total: int, show: bool):
