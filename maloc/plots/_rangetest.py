@@ -47,5 +47,5 @@ def detection_curve(test: RangeTest, edges: Any = None, ax: Any = None) -> Axes:
         ax.axvline(reach, color=INK, linewidth=0.8, linestyle=":", label=f"p = .5 at {reach:.0f} m")
     ax.set_ylim(0, 1)
     ax.set_xlim(0, grid[-1])
-    ax.legend(loc="upper right", frameon=False, fontsize="small")
+    ax.legend(loc="lower left", frameon=False, fontsize="small")
     return tidy(ax, "distance (m)", "probability that a ping is heard", "Range test")
