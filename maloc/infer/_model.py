@@ -115,9 +115,10 @@ class ChainModel:
         self.d, self.k = start, place
         observed = [_unwrap(s["fn"])[0] for s in trace.values() if s["type"] == "sample"]
         self.has_local = any(getattr(fn, "local", False) for fn in observed)
+        self.has_stand_in = any(hasattr(fn, "local_log_prob") for fn in observed)
         self.terms = jax.jit(self._robust_terms)
         self.exact = jax.jit(self._exact_terms)
-        self.cross = jax.jit(self._cross)
+        self.gradient = jax.jit(jax.grad(self._value))
         self.natural = jax.jit(self._natural)
         self.values = jax.jit(lambda x, u: self.sites(x, u)[0])
         self.pointwise = jax.jit(self._pointwise)
@@ -184,10 +185,13 @@ class ChainModel:
 
     # -- densities ----------------------------------------------------------------------------
 
-    def _joint(self, x, u, args, temper):
-        """Log joint density in (path, unconstrained parameters), errors widened to ``temper``."""
+    def _joint(self, x, u, args, temper, here=None):
+        """Log joint density in (path, unconstrained parameters), errors widened to ``temper``.
+
+        Given a trace ``here``, sites that are not local are replaced by their stand-ins there.
+        """
         values, total = self.sites(x, u)
-        for site in self._trace(values, args).values():
+        for name, site in self._trace(values, args).items():
             if site["type"] != "sample":
                 continue
             fn = site["fn"]
@@ -196,7 +200,11 @@ class ChainModel:
                 fn = base.widened(temper)
                 fn = fn if mask is None else fn.mask(mask)
             scale = 1.0 if site["scale"] is None else site["scale"]
-            total += jnp.sum(scale * fn.log_prob(site["value"]))
+            if here is not None and hasattr(base, "local_log_prob"):
+                density = base.local_log_prob(site["value"], _unwrap(here[name]["fn"])[0])
+            else:
+                density = fn.log_prob(site["value"])
+            total += jnp.sum(scale * density)
         return total
 
     def log_joint(self, x, u, args):
@@ -298,14 +306,30 @@ class ChainModel:
         return jnp.moveaxis(jax.vmap(push)(probes), 0, 2)
 
     def _exact_terms(self, x, u, args, temper):
+        if self.has_stand_in:
+            value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
+            slope = jax.grad(self._stand_in)
+            _, push = jax.linearize(lambda m: slope(m, x, u, args, temper), x)
+            return value, gradient, self._band(push, x.shape)
         both = jax.value_and_grad(self._value)
         (value, gradient), push = jax.linearize(lambda m: both(m, u, args, temper), x)
         return value, gradient, self._band(lambda v: push(v)[1], x.shape)
 
-    def _cross(self, x, u, args):
-        """Mixed derivative d2 / du dx (k, T, d) of the negative log joint."""
-        slope = jax.grad(self._value)
-        return jnp.moveaxis(jax.jacfwd(lambda v: slope(x, v, args, 0.0))(u), -1, 0)
+    def _stand_in(self, moving, x, u, args, temper):
+        """Negative log joint with stand-ins for what is not local: its Hessian is banded."""
+        here = self._trace(self.sites(x, u)[0], args)
+        return -self._joint(moving, u, args, temper, here)
+
+    def cross(self, x, u, args):
+        """Mixed derivative d2 / du dx (k, T, d) of the negative log joint, by differences."""
+        step = 1e-4
+        out = np.empty((self.k, *np.shape(x)))
+        for i in range(self.k):
+            off = np.zeros(self.k)
+            off[i] = step
+            ahead, behind = (self.gradient(x, u + s * off, args, 0.0) for s in (1, -1))
+            out[i] = (np.asarray(ahead) - np.asarray(behind)) / (2 * step)
+        return out
 
     # -- what the user sees -----------------------------------------------------------------------
 

@@ -101,28 +101,50 @@ def find_mode(
     value = float(value)
     for step in range(max_steps):
         gradient = np.asarray(gradient)
-        try:
-            factor = ChainFactor(band, cm.d)
-        except np.linalg.LinAlgError:
-            if method == "exact":
-                band = cm.terms(x, u, args, temper, False)[2]
-            factor = _factor(band, cm.d)
-        move = factor.solve(gradient)
-        gain = float(np.sum(gradient * move))
-        if gain < tol:
-            return Mode(x, value, step, True)
-        size = 1.0
-        while size > 1e-4:
-            trial = x - size * move
-            new, gradient, band = terms(trial)
-            new = float(new)
-            if new < value - 1e-4 * size * gain:
+        found, gain = None, np.inf
+        for factor in _factors(cm, x, u, args, temper, method, band):
+            move = factor.solve(gradient)
+            gain = float(np.sum(gradient * move))
+            if gain < tol:
+                return Mode(x, value, step, True)
+            found = _shortened(terms, x, value, move, gain)
+            if found is not None:
                 break
-            size *= 0.4
-        else:
+        if found is None:
             return Mode(x, value, step, gain < 1e-2)
-        x, value = trial, new
+        x, value, gradient, band = found
     return Mode(x, value, max_steps, False)
+
+
+def _factors(cm: ChainModel, x, u, args, temper: float, method: str, band):
+    """Factors to step by, each more careful than the one before: exact, Gauss-Newton, damped."""
+    if method == "exact":
+        try:
+            yield ChainFactor(band, cm.d)
+        except np.linalg.LinAlgError:
+            pass
+        band = cm.terms(x, u, args, temper, False)[2]
+    yield _factor(band, cm.d)
+    if cm.has_local:  # clipped curvatures can leave a whole tag unheld
+        band = np.asarray(band)
+        rows = _row_sums(band)
+        for damping in (1e-3, 1e-2, 0.1, 1.0):
+            damped = band.copy()
+            damped[0] += damping * (rows + rows.mean())
+            yield _factor(damped, cm.d)
+
+
+def _shortened(terms, x, value: float, move, gain: float):
+    """Longest of the shortened steps that pays; None where none does."""
+    size = 1.0
+    while size > 1e-4:
+        trial = x - size * move
+        new, gradient, band = terms(trial)
+        new = float(new)
+        if new < value - 1e-4 * size * gain:
+            return trial, new, gradient, band
+        size *= 0.4
+    return None
 
 
 def anneal(
