@@ -19,12 +19,19 @@ from maloc.data import Schedule
 from maloc.models import toa_track
 from tests.infer import cases
 
+SWITCHES = {n: (False, True) for n in ("loss", "receiver_effects", "dispersion")}
+DETECTION = {"detection": ("halfnormal", "logistic", "hazard")} | SWITCHES
+MOVING = DETECTION | {"movement": ("rw", "ctcrw"), "hierarchical": (False, True)}
 OPTIONS = {
+    "independent": DETECTION,
+    "detection_only": MOVING,
+    "known_interval": MOVING,
+    "unknown_interval": MOVING,
     "toa_track": {
         "movement": ("ctcrw", "rw"),
         "error": ("ddetect", "gaussian", "student"),
         "sound_speed": ("auto", "given", "estimated"),
-    }
+    },
 }
 SCHEDULES = {
     "unknown": Schedule(),
