@@ -72,12 +72,22 @@ def log_likelihood(part: PoissonPart, log_q):
     return jnp.where(part.kind == 1, silent, log_mass[:, -1] + jnp.log(part.rate))
 
 
-def log_pmf(part: PoissonPart, log_q, most: int):
-    """Log probability of 0..most missed cues, (N, most + 1)."""
+def _log_silent(part: PoissonPart, log_q):
+    """Log chance of having fallen silent in each step, or never, given the gap; q's integral."""
     log_mass, missed = _log_shares(part, log_q)
     never = jnp.arange(log_mass.shape[1]) == log_mass.shape[1] - 1
     log_mass = jnp.where((part.kind == 1)[:, None] | never[None], log_mass, -jnp.inf)
-    log_mass = jax.nn.log_softmax(log_mass, axis=1)
+    return jax.nn.log_softmax(log_mass, axis=1), missed
+
+
+def missed_until(part: PoissonPart, log_q):
+    """Chance of having fallen silent in each step, or never, and q's integral at nodes, (N, K)."""
+    return jnp.exp(_log_silent(part, log_q)[0]), _cumulated(part, log_q)
+
+
+def log_pmf(part: PoissonPart, log_q, most: int):
+    """Log probability of 0..most missed cues, (N, most + 1)."""
+    log_mass, missed = _log_silent(part, log_q)
     mean = jnp.maximum(part.rate * missed, 1e-300)[..., None]
     n = jnp.arange(most + 1)[None, None]
     each = n * jnp.log(mean) - mean - jax.scipy.special.gammaln(n + 1.0)

@@ -23,7 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from maloc import _renewal_counts, _renewal_exact, _renewal_long, _renewal_pack, _renewal_poisson
+from maloc import (
+    _renewal_counts,
+    _renewal_draw,
+    _renewal_exact,
+    _renewal_long,
+    _renewal_pack,
+    _renewal_poisson,
+)
 from maloc._jax import jax, jnp
 from maloc._renewal_pack import Gap, gap_nodes
 from maloc.data.model_data import bucket
@@ -32,6 +39,7 @@ from maloc.intervals import IntervalLaw, interval_law
 __all__ = [
     "Gap",
     "Gaps",
+    "draw_missed",
     "gap_log_likelihood",
     "gap_nodes",
     "interval_law",
@@ -162,3 +170,31 @@ def missed_pmf(gaps: Gaps, log_q, most: int):
         pmf = jnp.exp(_MODULES[type(part)].log_pmf(part, log_q, most))
         out = out.at[part.index].set(pmf)
     return out[:-1]
+
+
+def draw_missed(rng: np.random.Generator, gaps: Gaps, log_q) -> list[np.ndarray]:
+    """One draw of the missed pings' times in every gap given the path.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    gaps : Gaps
+    log_q : (S,)
+        See `gap_log_likelihood`; one draw of the path's.
+
+    Returns
+    -------
+    list of (n,) array
+        Seconds after each gap's start, ascending; padding left out. Gaps that the law rules out
+        have none. Exact but for the grid, in long gaps too; laws that hardly vary: spread evenly,
+        with the interval's own scatter.
+    """
+    log_q = np.asarray(log_q, float)
+    out = [np.empty(0)] * int(np.sum(gaps.valid))
+    for part in gaps.parts:
+        rows = _renewal_draw.draw_part(rng, part, gaps.law, log_q)
+        for i, times in zip(np.asarray(part.index), rows, strict=True):
+            if i < len(out):
+                out[i] = times
+    return out
