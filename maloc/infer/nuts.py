@@ -7,6 +7,7 @@ new start, and what cannot be mended is said in ``warnings``.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -98,13 +99,16 @@ def nuts(
     bar = _bar(chains * (warm + chunks) * CHUNK, progress, method)
     runs: list[list[Chunk]] = []
     sizes: list[float] = []
+    spent: list[float] = []
     warnings: list[str] = list(start.warnings)
     keys = iter(jax.random.split(key, chains * (1 + _RETRIES)))
     retries, factor = _RETRIES * (chains - 1), 1.0
     try:
         with stages.time("sampling"):
             while len(runs) < chains:
-                run, size = _run_chain(next(keys), kernel, mapping, data, warm, chunks, factor, bar)
+                run, size, cpu = _run_chain(
+                    next(keys), kernel, mapping, data, warm, chunks, factor, bar
+                )
                 why = _unhealthy(run)
                 if why and retries:
                     retries, factor = retries - 1, factor * _SHRINK
@@ -117,6 +121,7 @@ def nuts(
                     warnings.append(f"chain {len(runs)} is not to be trusted: {why}")
                 runs.append(run)
                 sizes.append(size)
+                spent.append(cpu)
     except _Interrupted as stop:
         runs.append(stop.run)
         runs = [r for r in runs if r]
@@ -127,6 +132,7 @@ def nuts(
         bar.close()
     x, u, stats = _stack(runs)
     stats["step_size"] = np.asarray(sizes)
+    stats["cpu"] = np.asarray(spent)  # seconds of the kept draws: no compilation, no warm-up
     fit = SampledFit(cm, data, start.options, stages, (), method, x, u, stats)
     fit.warnings = (*warnings, *_convergence(fit))
     return fit
@@ -152,22 +158,23 @@ def _bar(total: int, show: bool, label: str):
 
 def _run_chain(
     key, kernel: Kernel, mapping, data, warm: int, chunks: int, factor: float, bar
-) -> tuple[list[Chunk], float]:
-    """One chain: its chunks after warm-up, and its step size (``factor`` x the adapted one)."""
+) -> tuple[list[Chunk], float, float]:
+    """One chain: chunks after warm-up, step size (``factor`` x the adapted one), their CPU s."""
     run: list[Chunk] = []
-    size = float("nan")
+    size, began = float("nan"), time.process_time()
     try:
         state = kernel.start(key, mapping, data)
         for i in range(warm + chunks):
             if i == warm:
                 state, size = kernel.settle(state, factor)
+                began = time.process_time()
             state, chunk = kernel.advance(state, mapping, data, i < warm)
             if i >= warm:
                 run.append(Chunk(*(np.asarray(part) for part in chunk)))
             bar.update(CHUNK)
     except KeyboardInterrupt:
         raise _Interrupted(run) from None
-    return run, size
+    return run, size, time.process_time() - began
 
 
 def _unhealthy(run: list[Chunk]) -> str:
