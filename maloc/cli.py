@@ -296,6 +296,51 @@ def track(
         typer.echo("\n".join([*lines, f"written to {out}"]))
 
 
+studies = typer.Typer(
+    cls=OneLineGroup, pretty_exceptions_enable=False, help="Repeat published simulation studies."
+)
+app.add_typer(studies, name="study")
+
+
+@studies.callback()
+def _studies() -> None:
+    """Repeat published simulation studies."""  # with one command alone, typer would drop its name
+
+
+@studies.command("hostetter-royle")
+@_explained
+def hostetter_royle(
+    datasets: Annotated[int, typer.Option(min=1, help="Simulated data sets.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Processes, of one thread each.")] = 1,
+    models: Annotated[
+        str, typer.Option(metavar="A,B", help="Models to fit; all four if not given.")
+    ] = "independent,detection_only,known_interval,unknown_interval",
+    draws: Annotated[int, typer.Option(min=50, help="Draws of each of two chains.")] = 300,
+    method: Annotated[Literal["nuts", "hmc"], typer.Option(help="Sampler.")] = "hmc",
+    out: Annotated[Path, typer.Option(help="Folder of the results; gone on with.")] = Path(
+        "hostetter-royle"
+    ),
+    tags: Annotated[int, typer.Option(min=1, help="Tags in a data set.")] = 25,
+    side: Annotated[int, typer.Option(min=2, help="Receivers along a side of the array.")] = 10,
+    duration: Annotated[float, typer.Option(min=10, help="Length of a data set.")] = 150.0,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate and fit as Hostetter & Royle (2020), and print their Tables 1 and 2 beside ours.
+
+    Results lie in --out, one Parquet file a data set and model; what is there is not done again.
+    """
+    from maloc._study import Settings, run_study
+    from maloc._study_tables import report
+    from maloc.simulate.hostetter_royle import Design
+
+    design = Design(tags=tags, side=side, duration=duration)
+    settings = Settings(design, seed, draws, method=method)
+    chosen = tuple(m.strip() for m in models.split(",") if m.strip())
+    found = run_study(settings, datasets, out, models=chosen, workers=workers, quiet=quiet)
+    typer.echo(report(found))
+
+
 def main() -> None:
     """Entry point of the command `maloc`."""
     # tracing a model makes millions of short-lived objects; looking at them less often saves a

@@ -218,7 +218,7 @@ def test_other_settings_and_other_folders_are_refused(tmp_path):
     strange = tmp_path / "strange"
     strange.mkdir()
     (strange / "letter.txt").write_text("Dear Sir")
-    with pytest.raises(InputError, match="no study's folder"):
+    with pytest.raises(InputError, match="nor a study's folder"):
         _study.run_study(SMALL, 1, strange)
     with pytest.raises(InputError, match="none of independent"):
         _study.run_study(SMALL, 1, tmp_path / "new", models=["sorcery"])
