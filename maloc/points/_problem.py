@@ -83,6 +83,8 @@ class Found(NamedTuple):
         Arrays (P, ...) for `Points.extra`.
     arrival_extra : dict
         Arrays (P, M), brought to (P, R) for `Points.extra`; NaN where not heard.
+    scale : float
+        Factor by which the method improved the arrivals' sigma.
     """
 
     position: np.ndarray
@@ -96,6 +98,7 @@ class Found(NamedTuple):
     other: Found | None = None
     extra: dict[str, np.ndarray] = {}
     arrival_extra: dict[str, np.ndarray] = {}
+    scale: float = 1.0
 
     def rows(self, which: np.ndarray) -> Found:
         """The same for some pings."""
@@ -105,7 +108,7 @@ class Found(NamedTuple):
                 return {k: v[which] for k, v in part.items()}
             if isinstance(part, Found):
                 return part.rows(which)
-            return None if part is None else part[which]
+            return part[which] if isinstance(part, np.ndarray) else part
 
         return Found(*(cut(part) for part in self))
 

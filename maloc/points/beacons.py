@@ -18,10 +18,10 @@ from maloc.points._beacons import (
     refine_shared,
     share_offsets,
 )
+from maloc.points._methods import accepted, assemble, checked_prior, method_of
 from maloc.points._problem import problem_of
 from maloc.points._sigma import diameter
 from maloc.points.altitude import depths
-from maloc.points.locate import _accepted, _method, _points, checked_prior
 from maloc.points.result import Points
 
 __all__ = ["locate_by_beacons"]
@@ -83,7 +83,7 @@ def locate_by_beacons(
     Arnon et al. (2023) Robust Time-of-Arrival Location Estimation Algorithms for Wildlife
     Tracking. Sensors 23: 9460, sections 1.2 and 2.1 to 2.3.
     """
-    run = _method(method)
+    run = method_of(method)
     below, d = depths(toa, depth)
     each = np.broadcast_to(np.asarray(sigma, float), toa.toa.shape)
     known = _gather(toa, beacons, float(each.mean()))
@@ -104,7 +104,7 @@ def locate_by_beacons(
     if prior is not None:
         limits["prior"] = checked_prior(prior, len(toa))[ping]
     problem, column = problem_of(ranges, toa.receivers.xy, below[ping], spread)
-    found = run(problem, d, **_accepted(run, method, limits, options))
+    found = run(problem, d, **accepted(run, method, limits, options))
     size = found.used.sum(axis=1)
     away = np.zeros(len(ping))
     if limits["prior"] is not None:
@@ -118,7 +118,7 @@ def locate_by_beacons(
     wide = each.copy()
     wide[rows] = spread[pick]
     all_rows, columns = problem_of(whole, toa.receivers.xy, below, wide)
-    points = _points(toa, method, mine, all_rows, columns, rows, d)
+    points = assemble(toa, method, mine, all_rows, columns, rows, d)
     nothing = (points.why == "") & ~points.located
     points = points.replace(why=np.where(nothing, "no sync tag's ping to compare with", points.why))
     if multiple:
