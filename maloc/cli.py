@@ -246,7 +246,8 @@ def track(
         str | None, typer.Option(metavar="C|estimated", help="Sound speed, m/s.")
     ] = None,
     method: Annotated[
-        Literal["laplace", "nuts", "hmc"], typer.Option(help="How the posterior is found.")
+        Literal["laplace", "nuts", "hmc", "svi"],
+        typer.Option(help="How the posterior is found (svi: --model detections)."),
     ] = "laplace",
     ignore_columns: Annotated[
         str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
@@ -339,6 +340,71 @@ def hostetter_royle(
     chosen = tuple(m.strip() for m in models.split(",") if m.strip())
     found = run_study(settings, datasets, out, models=chosen, workers=workers, quiet=quiet)
     typer.echo(report(found))
+
+
+@app.command()
+@_explained
+def points(
+    receivers: Annotated[Path, typer.Option(help="The table of receivers.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    detections: Annotated[
+        list[Path] | None, typer.Argument(help="Files of detections (or give --toa).")
+    ] = None,
+    toa: Annotated[
+        Path | None, typer.Option(help="Matrix of arrival times, one row a ping.")
+    ] = None,
+    tag: Annotated[
+        list[str] | None,
+        typer.Option(help="Tag; several times for several; all but sync tags if none."),
+    ] = None,
+    method: Annotated[
+        Literal["closed-form", "consensus", "cluster", "least-squares", "pmc", "dm-pmc"],
+        typer.Option(help="How a ping is located."),
+    ] = "consensus",
+    sigma: Annotated[
+        float | None, typer.Option(help="Standard deviation of arrivals, m; estimated if none.")
+    ] = None,
+    depth: Annotated[
+        str, typer.Option(metavar="auto|flat|sensor|3d|M", help="The tag's depth, m down.")
+    ] = "auto",
+    sync: Annotated[
+        str,
+        typer.Option(metavar="auto|none|SYNC.nc", help="How clocks are brought together."),
+    ] = "auto",
+    reference: Annotated[
+        str | None, typer.Option(help="Receiver whose clock is the common time.")
+    ] = None,
+    sound_speed: Annotated[str | None, typer.Option(metavar="C", help="Sound speed, m/s.")] = None,
+    ignore_columns: Annotated[
+        str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
+    ] = "",
+    crs: Crs = None,
+    seed: Seed = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Locate every ping by itself, without a model of movement.
+
+    Writes points.csv, arrivals.csv, map.png, summary.json.
+    """
+    from maloc._load import TrackOptions
+    from maloc._points_run import PointsOptions, run_points
+
+    source = TrackOptions(
+        detections=tuple(detections or ()),
+        toa=toa,
+        receivers=receivers,
+        tags=tuple(tag or ()),
+        sync=sync,
+        reference=reference,
+        sound_speed=sound_speed,
+        ignore_columns=tuple(c.strip() for c in ignore_columns.split(",") if c.strip()),
+        crs=crs,
+        seed=seed,
+    )
+    lines = run_points(PointsOptions(source, method, sigma, depth), out, force=force, quiet=quiet)
+    if not quiet:
+        typer.echo("\n".join([*lines, f"written to {out}"]))
 
 
 def main() -> None:

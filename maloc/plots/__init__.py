@@ -9,10 +9,12 @@ __all__ = [
     "clocks",
     "diagnostics",
     "draw_map",
+    "gdop",
     "heard",
     "intervals",
     "parameters",
     "paths",
+    "points",
     "residuals",
     "spread",
     "sync_residuals",
@@ -24,10 +26,12 @@ _HOME = {
     "clocks": "_sync",
     "diagnostics": "_diagnostics",
     "draw_map": "_map",
+    "gdop": "_gdop",
     "heard": "_diagnostics",
     "intervals": "_diagnostics",
     "parameters": "_diagnostics",
     "paths": "_residuals",
+    "points": "_points",
     "residuals": "_residuals",
     "spread": "_diagnostics",
     "sync_residuals": "_sync",
@@ -44,7 +48,9 @@ if TYPE_CHECKING:
         spread,
         trace,
     )
+    from maloc.plots._gdop import gdop
     from maloc.plots._map import draw_map
+    from maloc.plots._points import points
     from maloc.plots._residuals import paths, residuals
     from maloc.plots._sync import clocks, sync_residuals
     from maloc.plots._track import track
