@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.tracks import folder_cases
 from maloc import ArrivalTimes, Receivers
-from maloc.points import Points, locate
+from maloc.points import Points, locate, resolve
 
 # name -> method and options; the last column: how many pings are enough to time it
 METHODS = {
@@ -122,15 +122,18 @@ def two_roots(pings: int) -> None:
 def canal(folder: Path, least: int = 4) -> None:
     """Mean errors (m) on pings of `least` receivers or more, by share missing, multipath .15."""
     names = ("consensus", "cluster", "closed-form", "differential-evolution", "least-squares")
+    told = "consensus, resolved"
     found: dict[str, dict[str, list[np.ndarray]]] = {}
     for case in folder_cases(folder, None, None, None):
         if not case.name.endswith("mp15"):
             continue
-        cell = found.setdefault(case.name.split("_")[1], {n: [] for n in names})
+        cell = found.setdefault(case.name.split("_")[1], {n: [] for n in (told, *names)})
         enough = case.toa.n_heard >= least
         for name in names:
-            off = error(locate(case.toa, name), case.truth)
-            cell[name].append(off[enough])
+            points = locate(case.toa, name)
+            cell[name].append(error(points, case.truth)[enough])
+            if name == "consensus":
+                cell[told].append(error(resolve(points), case.truth)[enough])
     for cell, methods in found.items():
         print(f"\n{f'canal {cell}_mp15':24}{'mean':>9}{'median':>9}{'95 %':>9}{'no place':>10}")
         for name, parts in methods.items():

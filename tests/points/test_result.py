@@ -39,8 +39,9 @@ def test_shapes_are_checked():
         ("emission", np.zeros(4), "emission must have shape"),
         ("extra", {"ess": np.zeros(2)}, "extra 'ess' must have 3 rows"),
     ):
+        wrong: dict[str, Any] = fields() | {name: value}
         with pytest.raises(InputError, match=words):
-            Points(**(fields() | {name: value}))
+            Points(**wrong)
 
 
 def test_table_has_a_row_a_ping_with_depth_where_found():
