@@ -131,22 +131,26 @@ def information(by: Guide) -> Guide:
 
 
 def moved(frame: Frame, by: Guide) -> Guide:
-    """The guide at increments ``by`` from the frame's start."""
+    """The guide at increments ``by`` from the frame's start.
+
+    Where u_hat moves, the path moves as it does given the parameters: else path and parameters
+    would wait for one another, as in the EM algorithm, and take four times the steps.
+    """
     start, unit = frame.start, frame.unit
-    x = start.x + _chained(start.carry, _times(start.root, by.x))
     u, c, b, s, n = start.u, start.c, start.b, start.s, start.n
+    shift = c @ by.u
+    x, root, carry = _given(start, shift)
+    x = x + _chained(start.carry, _times(start.root, by.x))
     if k := u.shape[0]:
         back = jax.scipy.linalg.solve_triangular(c, jnp.eye(k), lower=True).T
-        shift = c @ by.u
-        x = x + jnp.tensordot(shift, b, 1)
         u, c = u + shift, c @ _mixing(by.c, True)
         along = jax.vmap(lambda z: _chained(start.carry, _times(start.root, z)))(by.b)
         b = b + jnp.tensordot(back, along, 1)
         s = s + jnp.tensordot(back, by.s, 1)
         turn = jnp.einsum("tij,atjk,tkl->atil", start.root, by.n, unit)
         n = n + jnp.tensordot(back, turn, 1)
-    root = jnp.einsum("tij,tjk->tik", start.root, _mixing(by.root))
-    carry = start.carry + jnp.einsum("tij,tjk,tkl->til", start.root, by.carry, unit)
+    root = jnp.einsum("tij,tjk->tik", root, _mixing(by.root))
+    carry = carry + jnp.einsum("tij,tjk,tkl->til", start.root, by.carry, unit)
     return Guide(x, u, c, b, s, n, root, carry)
 
 
