@@ -16,8 +16,9 @@ import numpy as np
 
 from maloc._jax import jax, jnp
 from maloc.points._choose import choose
+from maloc.points._hypotheses import allowed, hypotheses
 from maloc.points._problem import Found, Problem, in_batches
-from maloc.points._robust import allowed, hypotheses, refine
+from maloc.points._robust import refine
 
 __all__ = ["cluster", "dbscan"]
 

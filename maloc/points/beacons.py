@@ -15,11 +15,10 @@ from maloc.points._beacons import (
     differenced,
     distances_to,
     rank_beacons,
-    refine_shared,
-    share_offsets,
 )
 from maloc.points._methods import accepted, assemble, checked_prior, method_of
 from maloc.points._problem import problem_of
+from maloc.points._shared_offsets import refine_shared, share_offsets
 from maloc.points._sigma import diameter
 from maloc.points.altitude import depths
 from maloc.points.result import Points

@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 from maloc import Receivers
 from maloc.errors import InputError
 from maloc.points import locate_by_beacons
-from maloc.points._beacons import Beacons, rank_beacons, share_offsets
+from maloc.points._beacons import Beacons, rank_beacons
+from maloc.points._shared_offsets import share_offsets
 from tests.points.arrays import C, arrivals, error, ring
 
 

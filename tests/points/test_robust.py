@@ -13,7 +13,8 @@ from maloc import ArrivalTimes, Receivers
 from maloc._jax import jnp
 from maloc.errors import InputError
 from maloc.points import locate
-from maloc.points._robust import rank, sets
+from maloc.points._hypotheses import sets
+from maloc.points._robust import rank
 from tests.points.arrays import arrivals, error, ring
 
 
