@@ -66,6 +66,8 @@ class TrackOptions:
             raise InputError("--toa is on one clock already", mend="leave --sync out")
         if self.model == "detections" and self.sound_speed is not None:
             raise InputError("--sound-speed says nothing to --model detections; leave it out")
+        if self.method == "svi" and self.model != "detections":
+            raise InputError("--method svi goes with --model detections only")
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
         self.schedule()

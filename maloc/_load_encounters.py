@@ -12,7 +12,7 @@ from maloc._log import Log
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
-    from maloc.data import Detections, EncounterHistory, Receivers
+    from maloc.data import Detections, EncounterHistory, ReadReport, Receivers
 
 __all__ = ["Encounters", "load_encounters"]
 
@@ -47,13 +47,23 @@ def load_encounters(options: TrackOptions, log: Log) -> Encounters:
             )
     made = _from_toa if options.toa is not None else _from_detections
     history, detections = made(options, receivers, log)
-    log.report(history.report)
+    _say(history.report, log)
     if (n := int((history.n_heard > 0).sum())) < FEWEST:
         raise InputError(f"{n} pings were heard; a track needs at least {FEWEST}")
     if not history.heard.any(axis=0).sum() > 1:
         name = history.receivers.labels[int(history.heard.any(axis=0).argmax())]
         log.warn(f"only receiver {name} heard anything: positions are rings around it")
     return Encounters(history, receivers, detections)
+
+
+def _say(report: ReadReport, log: Log) -> None:
+    """Pass on a report's notes; whole seconds are no reason to warn here."""
+    from maloc.data.readers._build import WHOLE_SECONDS
+
+    for note in report.notes:
+        if note.text == WHOLE_SECONDS:
+            log.notice("times are whole seconds: enough for who heard what")
+    log.report(replace(report, notes=[n for n in report.notes if n.text != WHOLE_SECONDS]))
 
 
 def _from_toa(options: TrackOptions, receivers: Receivers, log: Log):
@@ -80,7 +90,7 @@ def _from_detections(options: TrackOptions, receivers: Receivers, log: Log):
 
     with log.stage("read"):
         detections = read_detections(*options.detections)
-        log.report(detections.report)
+        _say(detections.report, log)
         if not len(detections):
             raise InputError("no detections", file=", ".join(map(str, options.detections)))
         tags = tags_to_fit(options, detections, receivers)

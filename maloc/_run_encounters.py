@@ -70,16 +70,13 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         else:
             from maloc._jax import jax
 
-            fit = infer.nuts(
-                jax.random.key(options.seed),
-                model,
-                history,
-                method=options.method,
-                chains=options.chains,
-                draws=options.draws,
-                progress=not log.quiet,
-                **how,
-            )
+            key, quiet = jax.random.key(options.seed), log.quiet
+            if options.method == "svi":
+                how |= {"draws": options.draws, "seed": options.seed, "progress": not quiet}
+                fit = infer.svi(key, model, history, **how)
+            else:
+                how |= {"draws": options.draws, "chains": options.chains, "progress": not quiet}
+                fit = infer.nuts(key, model, history, method=options.method, **how)
     for name, spent in fit.seconds.items():
         log.seconds.add(f"fit: {name}", spent["wall"], spent["cpu"])
     for text in fit.warnings:

@@ -61,10 +61,10 @@ def encounters(
     track = track_of(table)
     heard(track.time, np.asarray(table["n_receivers"].to_numpy()), ax=axes[1, 0])
     spread(track, ax=axes[1, 1])
-    if fit.method == "laplace" and gaps is not None and len(gaps):
-        missed(gaps, ax=axes[1, 2])
-    elif fit.method != "laplace":
+    if fit.method in ("nuts", "hmc"):
         _draw_trace(draws, [p["name"] for p in fit.parameters()], axes[1, 2])
+    elif gaps is not None and len(gaps):
+        missed(gaps, ax=axes[1, 2])
     else:
         axes[1, 2].set_axis_off()
     if title:

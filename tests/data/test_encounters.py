@@ -17,7 +17,9 @@ from maloc.data import (
     encounter_history,
 )
 from maloc.data._encounter_gaps import find_gaps, most_missed
+from maloc.data._encounter_states import chain, interpolate
 from maloc.errors import InputError
+from maloc.renewal import gap_log_likelihood, gap_nodes, interval_law
 
 START = 1_622_548_800 * 10**9
 XY = np.array([[x, y] for x in (0.0, 300.0, 600.0) for y in (0.0, 300.0)])
@@ -338,3 +340,49 @@ def test_gaps_lie_between_pings_and_leads_are_cut():
     assert find_gaps(h.replace(known=True)) == [] == find_gaps(h.replace(schedule=Schedule()))
     bare = h.replace(start=[np.nan] * 2, end=[np.nan] * 2)
     assert [g.kind for g in find_gaps(bare)] == ["inside", "inside"]
+
+
+def test_states_are_pings_and_the_nodes_of_the_gaps():
+    h = EncounterHistory(
+        [10.0, 11.5, 17.0, 2.0], [0, 0, 0, 1], np.ones((4, 6), bool), receivers(), ("a", "b"),
+        Schedule("random", 1, 2), start=[4.0, np.nan], end=[23.0, np.nan], lead=3.0,
+    )  # fmt: skip
+    states = chain(h)
+    assert states.row[states.row >= 0].tolist() == [0, 1, 2, 3]
+    assert (np.diff(states.time)[np.diff(states.tag) == 0] > 0).all()
+    assert states.time[0] == 10 - 4.5 and states.time[states.tag == 0][-1] == 17 + 4.5
+    law = interval_law(h.schedule)
+    for gap, nodes, at in states.gaps:
+        np.testing.assert_array_equal(nodes, gap_nodes(gap.duration, gap.kind, law))
+        np.testing.assert_allclose(states.time[at], gap.start + nodes)
+        assert (states.tag[at] == gap.tag).all()
+    assert [len(nodes) for _, nodes, _ in states.gaps][1] == 0  # 1.5 s: no ping fits in
+    d = h.to_model_data()
+    ping = np.asarray(d.ping)
+    assert ping.sum() == 4 and not np.asarray(d.heard)[~ping].any()
+    real = np.asarray(d.valid)
+    assert np.asarray(d.listening)[real, :6].all() and real.sum() == len(states.time)
+    assert np.asarray(d.gaps.valid).sum() == 4
+
+
+def test_pruning_in_gaps_changes_their_likelihood_by_less_than_the_bound():
+    rng = np.random.default_rng(14)
+    heard = np.tile([True] * 4 + [False] * 2, (6, 1))
+    time = np.cumsum([0, 1.2, 4.7, 1.8, 6.3, 3.1])
+    h = random_history(rng, n=(6,), time=time, heard=heard, schedule=Schedule("random", 1, 2))
+    near = rng.uniform(0, 200, (6, 2))
+    few = h.prune(near, reach=450.0)
+    full, less = h.to_model_data(pad=False), few.to_model_data(pad=False)
+    states = chain(h)
+    at = interpolate(h, states, near)
+
+    def total(data):
+        away = np.linalg.norm(np.asarray(data.near_xy) - at[:, None], axis=-1)
+        p = 0.8 * np.exp(-0.5 * (away / 200) ** 2)
+        log_q = np.log(np.where(np.asarray(data.listening), 1 - p, 1.0)).sum(axis=1)
+        here = log_likelihood(data, at, 0.8, 200.0, 0.0)
+        here -= log_q[states.row < 0].sum()  # nodes are no pings
+        return here + float(np.asarray(gap_log_likelihood(data.gaps, log_q)).sum())
+
+    change = abs(total(full) - total(less))
+    assert 0 < change <= few.prune_bound(200.0, 0.8)
