@@ -9,7 +9,7 @@ import numpy as np
 from maloc._jax import jax, jnp
 
 LEAST_LOG_Q = -40.0  # a ping missed with a chance below e^-40: no digit of any answer
-_UNROLL_UP_TO = 16  # blocks; products of so many chances do not underflow
+_MOST = 600.0  # largest exponent; by then the first interval has nothing to add
 
 
 @dataclass(frozen=True)
@@ -77,43 +77,26 @@ def log_likelihood(part: ExactPart, log_q):
     n, m = len(q), part.beta.shape[-1]
     lags = len(part.beta)
     early = q[:, : part.first.shape[1]]
-    constant = part.c0 + jnp.einsum("nk,nk->n", part.first, early)
-    started = (early @ part.a.T).reshape(n, -1, m)
-    q = q.reshape(n, -1, m)
-    blocks = q.shape[1]
+    started = jnp.pad(early @ part.a.T, ((0, 0), (0, q.shape[1] - part.a.shape[0])))
     weights = part.beta.reshape(lags * m, m)  # lag 1 first
-    window: list = []  # q H of the blocks before, the last one first
 
-    def solve(rhs, q_block):
-        return rhs / (1 - part.diagonal * q_block) if m == 1 else rhs
-
-    total = constant
-    unrolled = blocks if blocks <= _UNROLL_UP_TO else max(started.shape[1], lags)
-    for i in range(unrolled):
-        rhs = started[:, i] if i < started.shape[1] else jnp.zeros((n, m))
-        if window:
-            rhs = rhs + jnp.concatenate(window, axis=1) @ weights[: len(window) * m]
-        flow = q[:, i] * solve(rhs, q[:, i])
-        window = [flow, *window][:lags]
-        total = total + jnp.einsum("nk,nk->n", part.later[:, i * m : (i + 1) * m], flow)
-    if blocks == unrolled:
-        return jnp.log(total)
-
-    def step(carry, x):
-        past, total, scale = carry
-        q_block, later = x
-        flow = q_block * solve(past @ weights, q_block)
-        past = jnp.concatenate([flow, past[:, :-m]], axis=1)
+    def step(carry, block):
+        past, total, scale = carry  # q H before, the last block first; both over exp(scale)
+        q_block, rhs, later = block
+        rhs = rhs * jnp.exp(jnp.minimum(-scale, _MOST))[:, None] + past @ weights
+        if m == 1:
+            rhs = rhs / (1 - part.diagonal * q_block)
+        flow = q_block * rhs
+        past = jnp.concatenate([flow, past], axis=1)[:, : lags * m]
         total = total + jnp.sum(later * flow, axis=1)
-        size = jax.lax.stop_gradient(jnp.maximum(jnp.max(past, axis=1), total))
+        size = jax.lax.stop_gradient(jnp.maximum(jnp.max(past, axis=1, initial=0.0), total))
         size = jnp.where(size > 0, size, 1.0)
         return (past / size[:, None], total / size, scale + jnp.log(size)), None
 
-    past = jnp.concatenate(window, axis=1)
-    rest = q[:, unrolled:].swapaxes(0, 1)
-    later = part.later[:, unrolled * m :].reshape(n, -1, m).swapaxes(0, 1)
-    (_, total, scale), _ = jax.lax.scan(step, (past, total, jnp.zeros(n)), (rest, later), unroll=2)
-    # padding (c0 = 1, no flow) stays exact; a real gap's end row is never all zero
+    constant = part.c0 + jnp.sum(part.first * early, axis=1)
+    begin = (jnp.zeros((n, lags * m)), constant, jnp.zeros(n))
+    blocks = [v.reshape(n, -1, m).swapaxes(0, 1) for v in (q, started, part.later)]
+    (_, total, scale), _ = jax.lax.scan(step, begin, tuple(blocks), unroll=4)
     return jnp.log(jnp.where(total > 0, total, 1.0)) + scale
 
 

@@ -256,3 +256,28 @@ def intervals_given_sum(rng, lo, hi, m, total, size):
         good = (last >= lo) & (last <= hi)
         kept.append(np.column_stack([steps, last])[good])
     return np.concatenate(kept)[:size]
+
+
+# -- renewal ----------------------------------------------------------------------------------
+
+
+def missed_by_simulation(rng, draw_interval, q, duration, end, draws, first=None):
+    """Likelihood of a gap and of each count in it, by simulating pings: (mean, se, by count).
+
+    ``q(s)`` is the chance of a miss at s; ``end(x)`` closes the gap x after the last ping before
+    its end. With ``first`` (draws of the first ping's time) the gap begins without a heard ping,
+    and the ping at its end counts as no miss: ``end`` of the empty gap is then given as a pair.
+    """
+    alone, close = end if isinstance(end, tuple) else (end, end)
+    s = np.zeros(draws) if first is None else first(rng, draws)
+    weight = np.ones(draws)
+    by_count = [np.full(draws, float(alone(np.asarray(duration))))]
+    if first is not None:
+        weight = np.where(s < duration, q(s), 0.0)
+        by_count.append(weight * close(duration - s))
+    while np.any(weight > 0):
+        s = s + draw_interval(rng, draws)
+        weight = np.where(s < duration, weight * q(s), 0.0)
+        by_count.append(weight * close(duration - s))
+    total = np.sum(by_count, axis=0)
+    return total.mean(), total.std() / np.sqrt(draws), np.array([v.mean() for v in by_count])
