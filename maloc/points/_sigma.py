@@ -33,11 +33,13 @@ def estimate_sigma(toa: ArrivalTimes, below: np.ndarray, d: int, most: int = 512
     for _ in range(3):
         problem, _ = problem_of(ranges, toa.receivers.xy, below[rows], np.full(ranges.shape, scale))
         found = consensus(problem, d, reach=2 * diameter(toa))
-        count = found.used.sum(axis=1)
-        spare = (count >= d + 3) & ~found.ambiguous
+        # where two places fit, residuals count only if all arrivals agree with both (a mirror)
+        used = found.used if found.agreed is None else found.agreed
+        count = used.sum(axis=1)
+        spare = (count >= d + 3) & (count == found.used.sum(axis=1))
         if not spare.any():
             return 1.5
         free = np.sqrt(count / np.maximum(count - d - 1, 1))[:, None]
-        residual = np.abs(residuals(problem, found) * free)[found.used & spare[:, None]]
+        residual = np.abs(residuals(problem, found) * free)[used & spare[:, None]]
         scale = max(1.4826 * float(np.median(residual)), 0.1)
     return scale

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import polars as pl
 import pytest
+from typer.testing import CliRunner
 
 import maloc
+from maloc.cli import app
 from maloc.errors import InputError
 from maloc.points import locate
 
@@ -77,3 +81,47 @@ def test_13_closed_forms_say_why_they_give_none(shared_dir):
     points = locate(toa, "closed-form")
     assert not points.located.any()
     assert set(points.why) == {"no place fits the arrivals"}
+
+
+def command(case, out, *args, receivers="receivers.csv"):
+    given = [case / "vue.csv", "--receivers", case / receivers, "--out", out]
+    words = [*given, "--sound-speed", SPEED, *args]
+    return CliRunner().invoke(app, ["points", *map(str, words)])
+
+
+def test_08_command(shared_dir, tmp_path):
+    case = shared_dir / "cases" / "08-receiver-table-problems"
+    done = command(case, tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "309999" in done.stderr and "301007" in done.stderr
+    truth = pl.read_csv(case / "truth.csv").select("x", "y").to_numpy()
+    found = pl.read_csv(tmp_path / "out" / "points.csv")
+    np.testing.assert_allclose(found.select("x", "y").to_numpy(), truth, atol=3)
+    bad = command(case, tmp_path / "none", receivers="receivers_nan.csv")
+    assert bad.exit_code == 2 and len(bad.stderr.splitlines()) == 1
+    assert "301004 (x" in bad.stderr and "301005 (y" in bad.stderr
+    assert not (tmp_path / "none").exists()
+
+
+def test_10_command(shared_dir, tmp_path):
+    case = shared_dir / "cases" / "10-multipath-doubles"
+    done = command(case, tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    truth = pl.read_csv(case / "truth.csv").select("x", "y").to_numpy()
+    found = pl.read_csv(tmp_path / "out" / "points.csv")
+    np.testing.assert_allclose(found.select("x", "y").to_numpy(), truth, atol=3)
+    assert found["n_used"].to_list() == [6, 5, 6, 6, 6]  # the lone echo is out
+
+
+def test_13_command(shared_dir, tmp_path):
+    case = shared_dir / "cases" / "13-collinear-receivers"
+    done = command(case, tmp_path / "out")
+    assert done.exit_code == 0 and "mirror image" in done.stderr
+    truth = pl.read_csv(case / "truth.csv").select("x", "y").to_numpy()
+    found = pl.read_csv(tmp_path / "out" / "points.csv")
+    assert found["ambiguous"].all()
+    np.testing.assert_allclose(found["x"], truth[:, 0], atol=3)
+    np.testing.assert_allclose(found["y"].abs(), truth[:, 1], atol=5)
+    np.testing.assert_allclose(found["alternative_y"], -found["y"], atol=1e-3)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["tags"]["A69-1602-12345"]["ambiguous"] == 5

@@ -106,6 +106,7 @@ def test_line_of_receivers_leaves_both_sides_open_until_a_region_or_prior_tells(
     xy = np.column_stack([rng.uniform(50, 350, 30), rng.uniform(20, 150, 30)])
     toa = arrivals(receivers, xy, noise=rng.normal(0, 0.2, (30, 5)))
     points = locate(toa, sigma=0.3)
+    assert locate(toa).sigma == pytest.approx(0.2, rel=0.35)  # mirrors have the same residuals
     assert points.ambiguous.all()
     np.testing.assert_allclose(points.alternative, points.position * [1, -1], rtol=0, atol=1e-2)
     north = np.array([[-500.0, 0], [900, 0], [900, 500], [-500, 500]])
