@@ -96,7 +96,7 @@ def log_likelihood(part: ExactPart, log_q):
     constant = part.c0 + jnp.sum(part.first * early, axis=1)
     begin = (jnp.zeros((n, lags * m)), constant, jnp.zeros(n))
     blocks = [v.reshape(n, -1, m).swapaxes(0, 1) for v in (q, started, part.later)]
-    (_, total, scale), _ = jax.lax.scan(step, begin, tuple(blocks), unroll=4)
+    (_, total, scale), _ = jax.lax.scan(step, begin, tuple(blocks))
     return jnp.log(jnp.where(total > 0, total, 1.0)) + scale
 
 

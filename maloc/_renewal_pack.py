@@ -319,7 +319,7 @@ def parts_of(gaps: list[Gap], law: IntervalLaw, size: int, pad: bool, like):
     exact = [part for part in like if isinstance(part, ExactPart)]
     parts, ruled_out = _exact_parts(near, law, size, pad, exact)
     impossible[ruled_out] = True
-    if far or LongPart in same:
+    if far or pad or LongPart in same:  # padded: the same batches for every data set
         parts.append(_long_part(far, law, size, pad, same.get(LongPart)))
     return parts, constant, impossible
 

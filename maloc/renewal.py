@@ -13,12 +13,19 @@ How a gap is computed, by a fixed rule:
   number (`maloc._renewal_counts`).
 - Gaps longer than max(10, .36 mean^2 / sd^2) mean intervals: the adiabatic closed form, in which
   G decays at the rate of the local q (`maloc._renewal_long`).
-- All others: the equation itself on a fine grid (`maloc._renewal_grid`, `maloc._renewal_exact`).
+- All others: the equation itself on a grid of an eighth of the shortest interval, log q linear
+  between the path's nodes (`maloc._renewal_grid`, `maloc._renewal_exact`).
+
+For intervals of 1 to 2 s, log G is within .008 of simulation (12 cases, 2.2 to 12.2 s, 1e6 draws);
+the adiabatic form is within .1 of the grid at 16 and 30 s. Nodes about a shortest interval apart
+move log G of one gap by .07 to .12 (sd) against a path known everywhere, -.01 to .004 on average,
+for the paper's walk through its array (sd .25 m per root s, detection scale .75 m).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -118,6 +125,7 @@ _MODULES = {
 }
 
 
+@jax.jit
 def gap_log_likelihood(gaps: Gaps, log_q):
     """Log likelihood of every gap, the missed pings in it summed out.
 
@@ -141,6 +149,7 @@ def gap_log_likelihood(gaps: Gaps, log_q):
     return total[:-1]
 
 
+@jax.jit
 def missed_mean(gaps: Gaps, log_q):
     """Expected number of missed pings in every gap given the path, (G,).
 
@@ -149,6 +158,7 @@ def missed_mean(gaps: Gaps, log_q):
     return jax.jvp(lambda v: gap_log_likelihood(gaps, v), (log_q,), (jnp.ones_like(log_q),))[1]
 
 
+@partial(jax.jit, static_argnames="most")
 def missed_pmf(gaps: Gaps, log_q, most: int):
     """Probabilities of 0..most missed pings in every gap given the path.
 
@@ -193,6 +203,8 @@ def draw_missed(rng: np.random.Generator, gaps: Gaps, log_q) -> list[np.ndarray]
     log_q = np.asarray(log_q, float)
     out = [np.empty(0)] * int(np.sum(gaps.valid))
     for part in gaps.parts:
+        if np.all(np.asarray(part.index) >= len(out)):
+            continue  # padding only
         rows = _renewal_draw.draw_part(rng, part, gaps.law, log_q)
         for i, times in zip(np.asarray(part.index), rows, strict=True):
             if i < len(out):

@@ -11,7 +11,7 @@ from maloc._renewal_long import LongPart
 from maloc._renewal_pack import exact_part, grid_of, needed
 from maloc.data.arrivals import Schedule
 from maloc.errors import InputError
-from maloc.intervals import Poisson, Stable, Table, uniform_law
+from maloc.intervals import IntervalLaw, Poisson, Stable, Table, uniform_law
 from maloc.renewal import (
     Gap,
     Gaps,
@@ -34,7 +34,7 @@ def inside(rng, n):
     return rng.uniform(1.0, 2.0, n)
 
 
-def packed(durations, kind="inside", law=LAW, path=None, first=False):
+def packed(durations, kind="inside", law: IntervalLaw = LAW, path=None, first=False):
     """Gaps laid end to end, and log q at their states: `path` of the time in the gap."""
     gaps, log_q, n = [], [], 0
     for duration in durations:
@@ -160,7 +160,7 @@ def test_long_gaps_agree_with_the_exact_recursion():
         walk = np.cumsum(rng.normal(0, 0.15, len(nodes)))
         log_q = jnp.asarray(-np.exp(-0.5 + walk))
         gaps = pack_gaps([gap], LAW)
-        assert isinstance(gaps.parts[-1], LongPart)
+        assert isinstance(gaps.parts[-1], LongPart) and gaps.parts[-1].index[0] == 0
         grid = grid_of(LAW)
         part, _ = exact_part([(0, gap)], LAW, grid, -(-needed(gap, LAW, grid) // grid.block), 1, 1)
         exact = Gaps((part,), np.zeros(1), np.zeros(1, bool), np.ones(1, bool), LAW)
