@@ -33,7 +33,7 @@ def start(name: str, size: int, seed: int):
     else:
         from maloc.simulate.hostetter_royle import Design, simulate_study
 
-        data = simulate_study(rng, Design(tags=size)).history(name)
+        data = simulate_study(rng, Design(tags=size)).history(name)  # pyright: ignore[reportArgumentType]
     return maloc.infer.laplace(getattr(maloc.models, name), data)
 
 
