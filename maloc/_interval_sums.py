@@ -38,11 +38,12 @@ def soft_limits(schedule: Schedule) -> tuple[float, float]:
     Raises
     ------
     InputError
-        If the schedule is unknown.
+        If the schedule is unknown, or Poisson: there are no limits.
     """
-    if schedule.kind == "unknown":
+    if schedule.kind not in ("random", "stable"):
         raise InputError(
-            "the burst interval is unknown", mend="give it as random MIN MAX or stable MEAN SD"
+            f"the burst interval is {schedule.kind}",
+            mend="give it as random MIN MAX or stable MEAN SD",
         )
     if schedule.kind == "stable":
         tolerance = _EDGE + _RELATIVE_EDGE * schedule.lo
