@@ -13,9 +13,10 @@ import numpy as np
 
 from maloc._renewal_counts import CountPart
 from maloc._renewal_exact import LEAST_LOG_Q, ExactPart
+from maloc._renewal_gap import Gap, end_of, needed
 from maloc._renewal_grid import grid_of
 from maloc._renewal_long import ENDS, LongPart
-from maloc._renewal_pack import Gap, end_of, exact_part, needed
+from maloc._renewal_pack import exact_part
 from maloc._renewal_poisson import PoissonPart, missed_until
 from maloc.intervals import Table
 

@@ -39,7 +39,7 @@ from maloc import (
     _renewal_poisson,
 )
 from maloc._jax import jax, jnp
-from maloc._renewal_pack import Gap, gap_nodes
+from maloc._renewal_gap import Gap, gap_nodes
 from maloc.data.model_data import bucket
 from maloc.intervals import IntervalLaw, interval_law
 

@@ -7,8 +7,10 @@ import pytest
 from scipy import stats
 
 from maloc._jax import jax, jnp
+from maloc._renewal_gap import needed
+from maloc._renewal_grid import grid_of
 from maloc._renewal_long import LongPart
-from maloc._renewal_pack import exact_part, grid_of, needed
+from maloc._renewal_pack import exact_part
 from maloc.data.arrivals import Schedule
 from maloc.errors import InputError
 from maloc.intervals import IntervalLaw, Poisson, Stable, Table, uniform_law
