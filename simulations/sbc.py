@@ -103,9 +103,9 @@ def design(pings: int = 24, step: float = 30.0, spread: float = 100.0) -> ToaDat
     return dataclasses.replace(data, **near)
 
 
-def simulate(key, model: Callable, data: ToaData, **options) -> tuple[dict, ToaData]:
-    """Draw latent values from the model's prior, then arrivals from its law: truth, data."""
-    key_latent, key_arrival = jax.random.split(key)
+def draw_truth(key, model: Callable, data, site: str, **options) -> tuple[dict, np.ndarray]:
+    """Latent values from the model's prior, and a draw of the observed ``site`` from its law."""
+    key_latent, key_site = jax.random.split(key)
     seeded = handlers.seed(model, key_latent)
     trace = handlers.trace(seeded).get_trace(data, **options)
     truth = {
@@ -113,7 +113,12 @@ def simulate(key, model: Callable, data: ToaData, **options) -> tuple[dict, ToaD
         for name, site in trace.items()
         if site["type"] == "deterministic" or (site["type"] == "sample" and not site["is_observed"])
     }
-    arrivals = trace["arrival"]["fn"].sample(key_arrival)
+    return truth, trace[site]["fn"].sample(key_site)
+
+
+def simulate(key, model: Callable, data: ToaData, **options) -> tuple[dict, ToaData]:
+    """Draw latent values from the model's prior, then arrivals from its law: truth, data."""
+    truth, arrivals = draw_truth(key, model, data, "arrival", **options)
     return truth, dataclasses.replace(data, range=arrivals)
 
 
@@ -130,9 +135,13 @@ def quantities(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def thinned(fit: SampledFit, draws: int = DRAWS) -> dict[str, np.ndarray]:
     """Quantities at ``draws`` evenly spaced draws of a fit's chains, laid end to end."""
     every = {name: value.reshape(-1) for name, value in quantities(fit.draws()).items()}
-    total = len(next(iter(every.values())))
-    keep = ((np.arange(draws) + 0.5) * total / draws).astype(int)
+    keep = spaced(len(next(iter(every.values()))), draws)
     return {name: value[keep] for name, value in every.items()}
+
+
+def spaced(total: int, draws: int = DRAWS) -> np.ndarray:
+    """Indices (draws,) spread evenly over ``total`` draws."""
+    return ((np.arange(draws) + 0.5) * total / draws).astype(int)
 
 
 def calibrate(cases: Iterator[tuple[dict, dict, bool]], draws: int = DRAWS) -> Calibration:
@@ -174,13 +183,26 @@ def toa_track_cases(
         yield quantities(truth), thinned(fit), bool(fit.warnings)
 
 
-def _shown(cases: Iterator, fits: int) -> Iterator:
+def shown(cases: Iterator, fits: int) -> Iterator:
     """Pass cases on with a line of progress on stderr."""
     start = time.perf_counter()
     for i, case in enumerate(cases, 1):
         print(f"\rfit {i}/{fits}, {time.perf_counter() - start:.0f} s", end="", file=sys.stderr)
         yield case
     print(file=sys.stderr)
+
+
+def print_ranks(result: Calibration) -> int:
+    """Print the rank histogram and p value of each quantity; 1 if one is .01 or less, else 0."""
+    p_values = result.p_values()
+    print(f"{'quantity':14}{'p':>8}  fits in each tenth of the ranks")
+    for name, p in p_values.items():
+        count = np.bincount(result.ranks[name] * BINS // (result.draws + 1), minlength=BINS)
+        print(f"{name:14}{p:8.3f}  {' '.join(f'{c:3d}' for c in count)}")
+    fits = len(next(iter(result.ranks.values())))
+    print(f"{fits} fits, {result.warned} of them with a warning; smallest p", end=" ")
+    print(f"{min(p_values.values()):.4f} of {len(p_values)}")
+    return int(min(p_values.values()) <= 0.01)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -203,15 +225,7 @@ def main(argv: list[str] | None = None) -> int:
         movement=asked.movement,
         error=asked.error,
     )
-    result = calibrate(_shown(cases, asked.fits))
-    p_values = result.p_values()
-    print(f"{'quantity':14}{'p':>8}  fits in each tenth of the ranks")
-    for name, p in p_values.items():
-        count = np.bincount(result.ranks[name] * BINS // (DRAWS + 1), minlength=BINS)
-        print(f"{name:14}{p:8.3f}  {' '.join(f'{c:3d}' for c in count)}")
-    print(f"{asked.fits} fits, {result.warned} of them with a warning; smallest p", end=" ")
-    print(f"{min(p_values.values()):.4f} of {len(p_values)}")
-    return int(min(p_values.values()) <= 0.01)
+    return print_ranks(calibrate(shown(cases, asked.fits)))
 
 
 if __name__ == "__main__":
