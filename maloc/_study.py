@@ -46,7 +46,9 @@ class Settings:
     seed : int
         Data set i is drawn from the generator seeded with (seed, i).
     draws, warmup, chains : int
-    method : {"nuts", "hmc"}
+    method : {"auto", "nuts", "hmc"}
+        Auto: HMC, but NUTS for the independent model, whose positions, which no movement ties, are
+        rings rather than normal.
     """
 
     design: Design
@@ -54,7 +56,13 @@ class Settings:
     draws: int = 1000
     warmup: int = 200
     chains: int = 2
-    method: str = "nuts"
+    method: str = "auto"
+
+    def sampler(self, model: str) -> str:
+        """The sampler of a model."""
+        if self.method == "auto":
+            return "nuts" if model == "independent" else "hmc"
+        return self.method
 
     def as_text(self) -> str:
         """JSON, to be compared with that of an earlier run in the same folder."""
@@ -97,7 +105,7 @@ def fit_job(settings: Settings, index: int, model: str) -> pl.DataFrame:
         draws=settings.draws,
         warmup=settings.warmup,
         chains=settings.chains,
-        method=settings.method,
+        method=settings.sampler(model),
         progress=False,
     )
     spent = time.process_time() - began

@@ -317,7 +317,10 @@ def hostetter_royle(
         str, typer.Option(metavar="A,B", help="Models to fit; all four if not given.")
     ] = "independent,detection_only,known_interval,unknown_interval",
     draws: Annotated[int, typer.Option(min=50, help="Draws of each of two chains.")] = 300,
-    method: Annotated[Literal["nuts", "hmc"], typer.Option(help="Sampler.")] = "hmc",
+    method: Annotated[
+        Literal["auto", "nuts", "hmc"],
+        typer.Option(help="Sampler; auto: hmc, but nuts for the independent model."),
+    ] = "auto",
     out: Annotated[Path, typer.Option(help="Folder of the results; gone on with.")] = Path(
         "hostetter-royle"
     ),

@@ -6,12 +6,14 @@ matplotlib is imported by the first figure that is drawn, not before.
 from typing import TYPE_CHECKING, Any
 
 __all__ = [
+    "audibility",
     "clocks",
     "diagnostics",
     "draw_map",
     "gdop",
     "heard",
     "intervals",
+    "localizations",
     "parameters",
     "paths",
     "points",
@@ -23,12 +25,14 @@ __all__ = [
 ]
 
 _HOME = {
+    "audibility": "_localizations",
     "clocks": "_sync",
     "diagnostics": "_diagnostics",
     "draw_map": "_map",
     "gdop": "_gdop",
     "heard": "_diagnostics",
     "intervals": "_diagnostics",
+    "localizations": "_localizations",
     "parameters": "_diagnostics",
     "paths": "_residuals",
     "points": "_points",
@@ -49,6 +53,7 @@ if TYPE_CHECKING:
         trace,
     )
     from maloc.plots._gdop import gdop
+    from maloc.plots._localizations import audibility, localizations
     from maloc.plots._map import draw_map
     from maloc.plots._points import points
     from maloc.plots._residuals import paths, residuals
