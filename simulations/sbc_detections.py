@@ -39,8 +39,8 @@ PRIORS = {
 }
 CERTAIN = {
     "p0": dist.Beta(30.0, 5.0),
-    "scale": dist.LogNormal(np.log(1.6), 0.15),
-    "sigma_step": dist.LogNormal(np.log(0.25), 0.3),
+    "scale": dist.LogNormal(np.log(2.0), 0.15),
+    "sigma_step": dist.LogNormal(np.log(0.12), 0.3),
 }
 PINGS, LAST = 12, 20.0  # pings a tag; s
 INTERVAL = (1.0, 2.0)
