@@ -9,12 +9,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from maloc import arrival, errors, infer, models, movement, plots, signal, simulate, sync
+    from maloc import (
+        arrival,
+        detection,
+        errors,
+        infer,
+        intervals,
+        models,
+        movement,
+        plots,
+        points,
+        rangetest,
+        renewal,
+        signal,
+        simulate,
+        statespace,
+        sync,
+    )
     from maloc.data import (
         ArrivalTimes,
         Detections,
+        EncounterHistory,
         Receivers,
         Schedule,
+        encounter_history,
         read_detections,
         read_receivers,
         read_toa,
@@ -27,27 +45,51 @@ __version__ = "0.1.0"
 __all__ = [
     "ArrivalTimes",
     "Detections",
+    "EncounterHistory",
     "Receivers",
     "Schedule",
     "arrival",
     "check",
+    "detection",
+    "encounter_history",
     "errors",
     "infer",
+    "intervals",
     "models",
     "movement",
     "plots",
+    "points",
+    "rangetest",
     "read_detections",
     "read_receivers",
     "read_toa",
+    "renewal",
     "signal",
     "simulate",
+    "statespace",
     "sync",
     "toa_matrix",
 ]
 
 if not TYPE_CHECKING:
     _SUBMODULES = frozenset(
-        ["arrival", "errors", "infer", "models", "movement", "plots", "signal", "simulate", "sync"]
+        [
+            "arrival",
+            "detection",
+            "errors",
+            "infer",
+            "intervals",
+            "models",
+            "movement",
+            "plots",
+            "points",
+            "rangetest",
+            "renewal",
+            "signal",
+            "simulate",
+            "statespace",
+            "sync",
+        ]
     )
 
     def __getattr__(name: str):

@@ -69,7 +69,7 @@ def detection(data, position, kind: str, loss: bool, receiver_effects: bool, dis
     scale = numpyro.sample("scale", dist.LogNormal(jnp.log(data.spacing), 1.0))
     shape = None
     if kind == "hazard":
-        shape = numpyro.sample("shape", dist.LogNormal(jnp.log(3.0), 0.5))
+        shape = numpyro.sample("shape", dist.LogNormal(jnp.log(4.0), 0.7))
     coefficients = effects = p_lost = spread = None
     if n := data.covariates.shape[-1]:
         coefficients = numpyro.sample("coefficient", dist.Normal(0, 1).expand([n]).to_event(1))

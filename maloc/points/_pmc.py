@@ -99,7 +99,8 @@ def pmc(
     -------
     Found
         Position: the posterior's mean around its mode; covariance: of the whole posterior, around
-        that. `extra`: "ess" effective sample size, "mean" (P, d) of the whole posterior, "lo" and
+        that. `extra`: "ess" effective sample size, "log_evidence" of all arrivals (prior 1 in the
+        polygon), "mean" (P, d) of the whole posterior, "lo" and
         "hi" (P, d) central 95 % of each coordinate, "radius" squared Mahalanobis distance that
         holds 95 %, "mode" (P, d), "other_share" mass away from the mode; of each arrival
         "p_reflected".
@@ -230,7 +231,10 @@ def _found(problem: Problem, value: dict, each: dict, keep: bool, scale: float) 
         a = value[name]
         return np.where(alive.reshape(-1, *(1,) * (a.ndim - 1)), a, np.nan)
 
-    extra = {k: known(k) for k in ("ess", "mean", "lo", "hi", "radius", "mode", "other_share")}
+    extra = {
+        k: known(k)
+        for k in ("ess", "log_evidence", "mean", "lo", "hi", "radius", "mode", "other_share")
+    }
     if keep:
         extra["particles"] = np.swapaxes(value["particles"], 1, 2)
         extra["weights"] = value["weights"]

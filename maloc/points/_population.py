@@ -268,6 +268,7 @@ def _summary(
         "covariance": covariance,
         "ess": 1 / jnp.maximum(jnp.sum(weight**2), 1e-300),
         "alive": alive,
+        "log_evidence": top + jnp.log(jnp.maximum(total, 1e-300) / len(weight)),
         "lo": bounds[:d],
         "hi": bounds[d : 2 * d],
         "radius": bounds[2 * d],

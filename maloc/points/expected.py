@@ -112,7 +112,7 @@ def position_covariance(
     free = (weight > 0).sum(axis=1) + len(known) - len(nuisance) >= d
     top = weight.max(axis=1, initial=0.0)
     sure = free & (size[:, -1] > _SINGULAR * np.maximum(top, 1e-300))
-    inverse = np.where(sure[:, None], 1 / np.maximum(size, 1e-300) ** 2, 0.0)
+    inverse = 1 / np.where(sure[:, None], size, 1.0) ** 2
     out = np.einsum("pki,pk,pkj->pij", axes, inverse, axes)
     return np.where(sure[:, None, None], out, np.inf)
 

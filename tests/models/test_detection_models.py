@@ -137,7 +137,7 @@ def test_unheard_pings_count_only_where_the_schedule_is_known(name):
 def test_options(name):
     """Every combination traces; sites as they should be; wrong names are refused."""
     model = getattr(maloc.models, name)
-    data = data_for(name, covariates={"depth": np.arange(12.0)})
+    data = data_for(name, covariates={"depth": np.tile(np.arange(12.0), (12, 1))})
     moving = name != "independent"
     choices = itertools.product(
         ("halfnormal", "logistic", "hazard"),
