@@ -57,7 +57,7 @@ class SoftBox(dist.Distribution):
         log_z = jnp.log(size) - jnp.log(-jnp.expm1(-size / self.edge))
         return jnp.sum(inside, axis=-1) - jnp.sum(log_z)
 
-    def sample(self, key, sample_shape=()):
+    def sample(self, key: Any, sample_shape=()):
         """Draw places, shape ``sample_shape + (A,)``."""
         key_box, key_edge = jax.random.split(key)
         shape = (*sample_shape, *self.event_shape)

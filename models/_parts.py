@@ -7,6 +7,8 @@ the paper's grid units: medians are set by them, with a factor of e or more eith
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpyro
 import numpyro.distributions as dist
 
@@ -97,8 +99,8 @@ class MissedPings(dist.Distribution):
     """
 
     local = True
-    arg_constraints = {}
-    support = dist.constraints.real
+    arg_constraints: Any = {}
+    support: Any = dist.constraints.real
     pytree_data_fields = ("gaps", "log_q", "log_density")
 
     def __init__(self, gaps, log_q, *, validate_args=None) -> None:

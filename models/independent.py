@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpyro
 
+from maloc._jax import jnp
 from maloc.data.encounter_data import as_encounter_data
 from maloc.models import _parts
 from maloc.statespace import SoftBox
@@ -50,4 +51,4 @@ def independent(
     position = numpyro.sample("track", anywhere, infer={"is_chain": True})
     _parts.placed(data, position)
     law = _parts.detection(data, position, detection, loss, receiver_effects, dispersion)
-    numpyro.sample("encounter", law.mask(data.heard.any(axis=1)), obs=data.heard)
+    numpyro.sample("encounter", law.mask(jnp.any(data.heard, axis=1)), obs=data.heard)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpyro
 
+from maloc._jax import jnp
 from maloc.data.encounter_data import as_encounter_data
 from maloc.models import _parts
 
@@ -57,4 +58,4 @@ def known_interval(
     data = as_encounter_data(encounters)
     position = _parts.track(data, movement, hierarchical)
     law = _parts.detection(data, position, detection, loss, receiver_effects, dispersion)
-    numpyro.sample("encounter", law.mask(data.ping), obs=data.heard)
+    numpyro.sample("encounter", law.mask(jnp.asarray(data.ping)), obs=data.heard)

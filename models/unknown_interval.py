@@ -62,7 +62,7 @@ def unknown_interval(
     data = as_encounter_data(encounters)
     position = _parts.track(data, movement, hierarchical)
     law = _parts.detection(data, position, detection, loss, receiver_effects, dispersion)
-    numpyro.sample("encounter", law.mask(data.ping), obs=data.heard)
+    numpyro.sample("encounter", law.mask(jnp.asarray(data.ping)), obs=data.heard)
     if data.gaps is None:
         raise ValueError("unknown_interval needs a burst interval: give the history a schedule")
     log_q = numpyro.deterministic("log_q", law.log_unheard)

@@ -16,9 +16,10 @@ from typing import Any, Literal
 import numpy as np
 
 from maloc.errors import InputError
+from maloc.points._prior import Prior, edges, hull, spread, start_in
 from maloc.points._problem import Found, Problem, in_batches
 
-__all__ = ["dm_pmc", "pmc", "spread", "start_in"]
+__all__ = ["dm_pmc", "pmc"]
 
 _MIN_LATENESS = 375.0  # m; receivers are blanked about .25 s after a detection
 _BACKGROUND = 1e-4  # share of arrivals that may be anything, as in the track models
@@ -109,13 +110,13 @@ def pmc(
         raise InputError("population Monte Carlo needs 10 particles and 1 iteration or more")
     if kernels < 1 or n_particles % kernels:
         raise InputError(f"{kernels} kernels do not divide {n_particles} particles")
-    corners, diameter = _hull(problem)
+    corners, diameter = hull(problem)
     law = _law(error, beta, df, max(diameter, _MIN_LATENESS) if lateness is None else lateness)
     places = problem.place[problem.heard]
     vertical = (float(places[:, 2].min()), float(places[:, 2].max())) if d == 3 else (0.0, 0.0)
-    prior = (
-        _edges(corners),
-        diameter / 4 if fade is None else float(fade),
+    prior = Prior(
+        edges(corners),
+        np.asarray(diameter / 4 if fade is None else float(fade)),
         np.asarray(vertical),
         np.zeros((0, 2)) if region is None else np.asarray(region, float),
     )
@@ -161,20 +162,20 @@ def _run(
     law: Any,
     *,
     start: np.ndarray,
-    prior: tuple,
+    prior: Prior,
     base: np.ndarray,
     span: float,
     width: float,
     static: dict,
     keep: bool = False,
 ) -> tuple[dict, dict]:
-    from maloc.points._population import Prior, population
+    from maloc.points._population import population
 
     return in_batches(
         population,
         problem,
         (shift,),
-        (law, Prior(*prior), start, base, span, width),
+        (law, prior, start, base, span, width),
         static=static | {"keep": keep},
         pings_last=False,
         largest=64,
@@ -250,64 +251,3 @@ def _found(problem: Problem, value: dict, each: dict, keep: bool, scale: float) 
         extra=extra,
         arrival_extra={"p_reflected": reflected},
     )
-
-
-def _hull(problem: Problem) -> tuple[np.ndarray, float]:
-    """Corners (V, 2) of the convex polygon around the receivers heard, and its diameter, m."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    xy = np.unique(problem.place[problem.heard][:, :2], axis=0)
-    diameter = max(float(np.linalg.norm(np.ptp(xy, axis=0))), 1.0)
-    try:
-        corners = xy[ConvexHull(xy).vertices]
-    except (QhullError, ValueError):
-        corners = np.empty((0, 2))
-    area = 0.5 * abs(_shoelace(corners)) if len(corners) else 0.0
-    if area < 0.05 * diameter**2:  # receivers on a line: the polygon is given some width
-        middle = xy.mean(axis=0)
-        _, _, axes = np.linalg.svd(np.vstack([xy - middle, np.zeros((2, 2))]), full_matrices=False)
-        half = np.abs((xy - middle) @ axes.T).max(axis=0)
-        half = np.maximum(half, diameter / 4)
-        sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        corners = middle + (sides * half) @ axes
-    return corners if _shoelace(corners) > 0 else corners[::-1], diameter
-
-
-def _shoelace(corners: np.ndarray) -> float:
-    x, y = corners.T
-    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-
-
-def _edges(corners: np.ndarray) -> np.ndarray:
-    """Half planes (E, 3) of a convex polygon, counter-clockwise; padded to eights."""
-    step = np.roll(corners, -1, axis=0) - corners
-    normal = np.column_stack([step[:, 1], -step[:, 0]])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    edge = np.column_stack([normal, (normal * corners).sum(axis=1)])
-    padding = np.tile([0.0, 0.0, 1.0], (-len(edge) % 8, 1))
-    return np.concatenate([edge, padding])
-
-
-def spread(n: int, dimensions: int) -> np.ndarray:
-    """N points (dimensions, n) spread evenly in the unit cube: Roberts' R sequence."""
-    ratio = 1.5
-    for _ in range(40):  # the root of r^(d + 1) = r + 1
-        ratio = (1 + ratio) ** (1 / (dimensions + 1))
-    step = ratio ** -np.arange(1.0, dimensions + 1)
-    return (0.5 + step[:, None] * np.arange(1, n + 1)) % 1
-
-
-def start_in(corners: np.ndarray, n: int) -> np.ndarray:
-    """N points (n, 2) spread evenly over a convex polygon (V, 2): a low-discrepancy sequence."""
-    triangles = np.stack(
-        [np.broadcast_to(corners[0], corners[1:-1].shape), corners[1:-1], corners[2:]], axis=1
-    )
-    a, b, c = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = np.abs(b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
-    u, v = spread(n, 2)
-    total = np.concatenate([[0.0], np.cumsum(area) / area.sum()])
-    which = np.minimum(np.searchsorted(total, u, side="right") - 1, len(area) - 1)
-    u = (u - total[which]) / (total[which + 1] - total[which])
-    fold = u + v > 1
-    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
-    return a[which] + u[:, None] * b[which] + v[:, None] * c[which]

@@ -9,57 +9,20 @@ several times, and profiling it out would not give the posterior.
 from __future__ import annotations
 
 from copy import copy
-from typing import Any, NamedTuple
+from typing import Any
 
 from maloc._jax import jax, jnp
 from maloc.points._kernels import Kernels, cholesky, draw, log_density, solve_cholesky
+from maloc.points._prior import Prior, log_prior
 from maloc.points._problem import Problem
 from maloc.points._robust import hypotheses
 
-__all__ = ["Prior", "population"]
+__all__ = ["population"]
 
 _SETS = 40  # minimal sets that give starting places
 _POWER = 0.5  # of the weights by which the first kernels are chosen: unlikely places stay in
 _NEAR = 1e-6  # m^2; a receiver is no point where slopes end
 _FAR = 6.0  # local standard deviations beyond which a particle belongs to another place
-
-
-class Prior(NamedTuple):
-    """Where the tag may be: flat in a convex polygon, a Gaussian fall-off beyond its edges.
-
-    Attributes
-    ----------
-    edge : array (E, 3)
-        Outward normal and offset: normal . x <= offset inside, m. Padding: 0, 0, 1.
-    fade : array ()
-        Standard deviation of the fall-off, m.
-    vertical : array (2,)
-        Shallowest and deepest, m; the fall-off beyond is the same.
-    region : array (V, 2)
-        Polygon that the tag cannot have left, m; no rows: none.
-    """
-
-    edge: Any
-    fade: Any
-    vertical: Any
-    region: Any
-
-
-def _log_prior(prior: Prior, x: list) -> Any:
-    """Log of the prior density up to a constant, of coordinates (d arrays)."""
-    beyond = prior.edge[:, 0, None] * x[0][None] + prior.edge[:, 1, None] * x[1][None]
-    beyond = jnp.maximum(jnp.max(beyond - prior.edge[:, 2, None], axis=0), 0.0)
-    out = -0.5 * (beyond / prior.fade) ** 2
-    if len(x) == 3:
-        over = jnp.maximum(jnp.maximum(prior.vertical[0] - x[2], x[2] - prior.vertical[1]), 0.0)
-        out = out - 0.5 * (over / prior.fade) ** 2
-    if prior.region.shape[0]:
-        (ax, ay), (bx, by) = prior.region.T[:, :, None], jnp.roll(prior.region, -1, 0).T[:, :, None]
-        crosses = (ay > x[1][None]) != (by > x[1][None])  # even-odd rule
-        rise = jnp.where(by == ay, 1.0, by - ay)
-        right = x[0][None] < ax + (x[1][None] - ay) * (bx - ax) / rise
-        out = jnp.where(jnp.sum(crosses & right, axis=0) % 2 == 1, out, -jnp.inf)
-    return out
 
 
 def _errors(ping: Problem, z: Any) -> tuple[Any, list]:
@@ -86,7 +49,7 @@ def _log_target(ping: Problem, law: Any, prior: Prior, z: Any) -> Any:
         return total + jnp.where(one.heard, _with_sigma(law, one.sigma).log_prob(error), 0.0), None
 
     # arrival by arrival, so that each step is a plain loop over particles
-    return jax.lax.scan(add, _log_prior(prior, [*x]), ping)[0]
+    return jax.lax.scan(add, log_prior(prior, [*x]), ping)[0]
 
 
 def _with_sigma(law: Any, sigma: Any) -> Any:
@@ -109,7 +72,7 @@ def _information(ping: Problem, law: Any, prior: Prior, z: Any, span: Any) -> tu
     weight = jnp.where(heard, law.direct_curvature(error), 0.0)
     slope = [*slope, ones]
     gradient = jnp.stack([-jnp.sum(force * s, axis=0) for s in slope])
-    pull = jax.grad(lambda x: jnp.sum(_log_prior(prior._replace(region=jnp.zeros((0, 2))), [*x])))
+    pull = jax.grad(lambda x: jnp.sum(log_prior(prior._replace(region=jnp.zeros((0, 2))), [*x])))
     gradient = gradient.at[:-1].add(pull(z[:-1]))
     rows: list[list] = [[None] * n for _ in range(n)]
     for i in range(n):

@@ -38,8 +38,8 @@ def covariance(
     centred = slope - (weight * slope).sum(axis=1, keepdims=True) / total
     information = np.einsum("pmi,pmj->pij", weight * centred, centred)
     out = np.full((len(position), d, d), np.nan)
-    known = np.isfinite(position).all(axis=1)
-    sure = known.copy()
+    known = np.all(np.isfinite(position), axis=1)
+    sure = np.array(known)
     sure[known] = np.linalg.cond(information[known]) < 1e10
     out[known] = np.inf
     out[sure] = np.linalg.inv(information[sure])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from maloc.arrival import DDetect, Student
 from maloc.errors import InputError
 from maloc.points import locate
 from maloc.points._kernels import Kernels, draw, log_density
-from maloc.points._pmc import spread, start_in
+from maloc.points._prior import spread, start_in
 from maloc.points.expected import position_covariance
 from tests.points.arrays import arrivals, error, ring
 
@@ -48,7 +50,7 @@ def test_deterministic_mixture_is_the_grid_posterior(law):
     many = toa.replace(
         toa=np.tile(toa.toa, (32, 1)), sound_speed=np.full(32, 1500.0), ping=np.arange(32)
     )
-    points = locate(many, "dm-pmc", error=error, sigma=4.0, region=BOX, fade=1e6, keep=True)
+    points = locate(many, "dm-pmc", error=law, sigma=4.0, region=BOX, fade=1e6, keep=True)
     place, weight = points.extra["particles"][..., :2], points.extra["weights"]
     np.testing.assert_allclose(weight.sum(axis=1), 1, rtol=1e-12)
     found = np.einsum("pn,pnd->pd", weight, place)
@@ -124,7 +126,7 @@ def test_two_places_are_both_reported():
 def test_same_seed_same_answer_whatever_comes_after():
     rng = np.random.default_rng(7)
     toa = arrivals(ring(5), rng.uniform(-100, 100, (6, 2)), noise=rng.normal(0, 1, (6, 5)))
-    same = {"sigma": 1.0, "reflected": 0.1}
+    same: dict[str, Any] = {"sigma": 1.0, "reflected": 0.1}
     one, two = locate(toa, "pmc", seed=1, **same), locate(toa, "pmc", seed=1, **same)
     np.testing.assert_array_equal(one.position, two.position)
     other = locate(toa, "pmc", seed=2, **same)
@@ -141,11 +143,11 @@ def test_student_kernels_are_scipys_and_draws_follow_them():
 
     rng = np.random.default_rng(8)
     root = np.tril(rng.normal(0, 0.3, (3, 3))) + np.diag([1.0, 2, 3])
-    shape = np.linalg.inv(root @ root.T)
+    shape: Any = np.linalg.inv(root @ root.T)
     rows = [[jnp.asarray([root[i, j]]) if j <= i else None for j in range(3)] for i in range(3)]
     kernels = Kernels(jnp.asarray([[1.0], [-2], [3]]), rows)
     z = np.asarray(draw(kernels, jnp.asarray(rng.random((5, 4000)))))
-    law = multivariate_t([1, -2, 3], shape, df=4)
+    law: Any = multivariate_t([1, -2, 3], cast(Any, shape), df=4)
     for own in (0, 4000):
         got = log_density(kernels, jnp.asarray(z), own)
         np.testing.assert_allclose(got, law.logpdf(z.T), atol=2e-4)
