@@ -50,7 +50,7 @@ def test_deterministic_mixture_is_the_grid_posterior(law):
     many = toa.replace(
         toa=np.tile(toa.toa, (32, 1)), sound_speed=np.full(32, 1500.0), ping=np.arange(32)
     )
-    points = locate(many, "dm-pmc", error=law, sigma=4.0, region=BOX, fade=1e6, keep=True)
+    points = locate(many, "dm-pmc", error=error, sigma=4.0, region=BOX, fade=1e6, keep=True)
     place, weight = points.extra["particles"][..., :2], points.extra["weights"]
     np.testing.assert_allclose(weight.sum(axis=1), 1, rtol=1e-12)
     found = np.einsum("pn,pnd->pd", weight, place)
