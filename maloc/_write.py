@@ -190,7 +190,7 @@ def _tag_summary(fitted: Fitted) -> dict[str, Any]:
 
 def sampler_health(fit: Any) -> dict[str, Any] | None:
     """Worst R-hat and effective sample sizes over the parameters; None where nothing sampled."""
-    if fit.method == "laplace":
+    if fit.method in ("laplace", "svi"):
         return None
     rows, stats = fit.parameters(), getattr(fit, "stats", {})
 

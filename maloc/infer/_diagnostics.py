@@ -101,7 +101,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
     units = getattr(inspect.getmodule(fit.cm.model), "UNITS", {})
     draws = fit.draws()
     path = {s.name for s in fit.cm.chain}
-    sampled = fit.method != "laplace"
+    sampled = fit.method in ("nuts", "hmc")
     rows = []
     for name, value in draws.items():
         if name in path or (value.ndim > 2 and value.shape[2] == fit.n_states):

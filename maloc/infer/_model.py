@@ -23,6 +23,8 @@ from maloc.errors import FitError
 
 __all__ = ["ChainModel", "chain_model"]
 
+_LEAST = 0.2
+
 
 class ChainSite(NamedTuple):
     """A path site: name, class of its law, shape behind time, columns it takes in the flat path."""
@@ -292,7 +294,9 @@ class ChainModel:
         band = self._band(push, x.shape)
         if self.has_local:
             d = self.d
-            clipped = _clipped(self._local_blocks(x, u, args))
+            # a state that nothing ties to its neighbours is held by its own block alone
+            tied = any(getattr(s.law, "is_chain", False) for s in self.chain)
+            clipped = _clipped(self._local_blocks(x, u, args), 0.0 if tied else _LEAST)
             for i in range(d):
                 column = jnp.moveaxis(clipped[:, i:, i], 1, 0)  # (d - i, T), below the diagonal
                 band = band.at[: d - i, i::d].add(column)
@@ -380,10 +384,11 @@ class ChainModel:
         return density, jax.tree.map(lambda v: v / x.shape[0], total)
 
 
-def _clipped(blocks):
-    """Symmetric blocks (T, d, d) with negative eigenvalues raised to 0."""
+def _clipped(blocks, least: float):
+    """Symmetric blocks (T, d, d), eigenvalues raised to ``least`` times the largest in size."""
     values, vectors = jnp.linalg.eigh(0.5 * (blocks + jnp.swapaxes(blocks, 1, 2)))
-    return jnp.einsum("tik,tk,tjk->tij", vectors, jnp.maximum(values, 0.0), vectors)
+    floor = least * jnp.max(jnp.abs(values), axis=1, keepdims=True)
+    return jnp.einsum("tik,tk,tjk->tij", vectors, jnp.maximum(values, floor), vectors)
 
 
 def _median(fn):

@@ -18,7 +18,7 @@ from maloc.infer._diagnostics import ess_bulk, r_hat
 from maloc.infer._hmc import CHUNK, Chunk, Kernel, kernels
 from maloc.infer._map import make_map
 from maloc.infer.laplace import laplace
-from maloc.infer.result import LaplaceFit, SampledFit
+from maloc.infer.result import Fit, LaplaceFit, SampledFit
 
 __all__ = ["nuts"]
 
@@ -29,7 +29,7 @@ _SHRINK = 0.6  # of the step size at each retry: what diverged may pass with sho
 
 def nuts(
     key,
-    model: Callable | LaplaceFit,
+    model: Callable | Fit,
     *args,
     chains: int = 2,
     draws: int = 1000,
@@ -47,8 +47,8 @@ def nuts(
     ----------
     key : jax.Array
         Random key (``jax.random.key(seed)``).
-    model : callable or LaplaceFit
-        Model, as for `laplace`, or a Laplace fit of it (then no ``args``).
+    model : callable, LaplaceFit or SviFit
+        Model, as for `laplace`, or a fit of it, whose map is then used (no ``args``).
     *args
         The model's arguments.
     chains, draws, warmup : int
@@ -85,16 +85,19 @@ def nuts(
         raise ValueError("chains must be 2 or more: one chain cannot show that it has converged")
     if method not in ("nuts", "hmc"):
         raise ValueError(f"method must be 'nuts' or 'hmc', not {method!r}")
-    if isinstance(model, LaplaceFit):
+    if isinstance(model, Fit):
         start = model
     else:
         start = laplace(model, *args, path=path, positions=positions, **options)
     cm, data, stages = start.cm, start.args, start.seconds
     with stages.time("map"):
-        mapping = make_map(cm, data, start.marginal)
+        if isinstance(start, LaplaceFit):
+            mapping = make_map(cm, data, start.marginal)
+        else:
+            mapping = start.mapping()
     chunks = -(-draws // CHUNK)
     warm = -(-warmup // CHUNK)
-    accept = target_accept or _default_accept(method, start.marginal.x.size + cm.k)
+    accept = target_accept or _default_accept(method, mapping.x.size + cm.k)
     kernel = kernels(cm, method, warm * CHUNK, accept)
     bar = _bar(chains * (warm + chunks) * CHUNK, progress, method)
     runs: list[list[Chunk]] = []

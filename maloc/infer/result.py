@@ -71,6 +71,10 @@ class Fit:
         """Posterior mean (T, d) and covariance (T, d, d) of each state, padding left out."""
         raise TypeError(f"{type(self).__name__} has no moments")
 
+    def mapping(self) -> Any:
+        """The whitening map to sample from."""
+        raise TypeError(f"{type(self).__name__} is no start for a sampler")
+
     def draws(self, n: int | None = None, seed: int | None = None) -> dict[str, np.ndarray]:
         """Draws of all latent and deterministic sites in natural space, (chain, draw, ...).
 

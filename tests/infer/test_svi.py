@@ -227,3 +227,16 @@ class TestUnsettled:
         assert said == ["the density was not finite at 1 steps and 0 of 10 draws"]
         with pytest.raises(FitError, match="not finite"):
             _unsettled(self.seen(finite=False), np.zeros(10), 100)
+
+
+def test_sampling_from_the_guides_map(fixes_fit, fit):
+    """The map only chooses coordinates: the same posterior as from the Laplace map."""
+    how = {"draws": 600, "warmup": 150, "progress": False}
+    ours = maloc.infer.nuts(jax.random.key(5), fit, **how)
+    theirs = maloc.infer.nuts(jax.random.key(6), fixes_fit, **how)
+    assert not ours.warnings
+    for a, b in zip(ours.parameters(), theirs.parameters(), strict=True):
+        error = np.hypot(a["sd"] / np.sqrt(a["ess_bulk"]), b["sd"] / np.sqrt(b["ess_bulk"]))
+        assert abs(a["mean"] - b["mean"]) < 5 * error
+    with pytest.raises(TypeError, match="no start"):
+        maloc.infer.nuts(KEY, theirs)
