@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks import engine, gps, tracks
+from benchmarks import engine, gps, svi, tracks
 
 
 def test_simulated_tracks_are_fitted_and_scored(monkeypatch, capsys):
@@ -59,3 +59,15 @@ def test_engine_against_plain_nuts(monkeypatch, capsys):
     engine.main()
     rows = [s for s in capsys.readouterr().out.splitlines() if s.startswith("maloc ")]
     assert len(rows) == 2 and all(s.endswith("x") for s in rows)
+
+
+def test_svi_beside_nuts(monkeypatch, capsys):
+    """Positions of a short track: medians of errors and sd ratios as the page says, or nearly."""
+    short = ["--size", "12", "--draws", "300", "--steps", "200"]
+    monkeypatch.setattr(sys, "argv", ["svi", *short])
+    svi.main()
+    said = capsys.readouterr().out
+    part = said[said.index("evidence bound") :].splitlines()
+    median = next(s for s in part if "states" in s).split()[5]
+    assert float(median.rstrip(",")) < 0.2
+    assert said.count("ratio of sd: median") == 2
