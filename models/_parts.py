@@ -65,7 +65,9 @@ def placed(data, position) -> None:
     numpyro.factor("padding", jnp.where(data.valid, 0.0, -0.5 * off))
 
 
-def detection(data, position, kind: str, loss: bool, receiver_effects: bool, dispersion: bool):
+def detection(
+    data, position, kind: str, loss: bool, receiver_effects: bool, dispersion: bool, distance
+):
     """Sites of detection: the law (`maloc.detection.Encounters`) of who hears a ping sent there."""
     p0 = numpyro.sample("p0", dist.Uniform(0.0, 1.0))
     scale = numpyro.sample("scale", dist.LogNormal(jnp.log(data.spacing), 1.0))
@@ -86,7 +88,7 @@ def detection(data, position, kind: str, loss: bool, receiver_effects: bool, dis
     shift = linear_shift(data.covariates, coefficients, effects, data.receiver)
     return encounters(
         kind, position, data.near_xy, data.listening, p0, scale, shape,
-        shift=shift, p_lost=p_lost, dispersion=spread,
+        shift=shift, p_lost=p_lost, dispersion=spread, squared=distance,
     )  # fmt: skip
 
 

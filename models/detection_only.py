@@ -6,6 +6,7 @@ import numpyro
 
 from maloc._jax import jnp
 from maloc.data.encounter_data import as_encounter_data
+from maloc.detection import squared_distance
 from maloc.models import _parts
 
 __all__ = ["UNITS", "detection_only"]
@@ -21,6 +22,7 @@ def detection_only(
     loss=False,
     receiver_effects=False,
     dispersion=False,
+    distance=squared_distance,
     hierarchical=False,
 ):
     """Joint density of paths and parameters given who heard each heard ping.
@@ -37,6 +39,8 @@ def detection_only(
         Pings may be lost to every receiver at once (collisions): site ``p_lost``.
     receiver_effects, dispersion : bool
         Receivers differ; pings differ (on the linear predictor).
+    distance : callable
+        Squared effective distance, see `maloc.detection.encounters`.
     hierarchical : bool
         Each tag has its own movement parameters around common ones.
 
@@ -57,5 +61,6 @@ def detection_only(
     _parts.refuse_unknown(movement, detection)
     data = as_encounter_data(encounters)
     position = _parts.track(data, movement, hierarchical)
-    law = _parts.detection(data, position, detection, loss, receiver_effects, dispersion)
+    how = (detection, loss, receiver_effects, dispersion, distance)
+    law = _parts.detection(data, position, *how)
     numpyro.sample("encounter", law.mask(jnp.any(data.heard, axis=1)), obs=data.heard)

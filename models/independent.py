@@ -6,6 +6,7 @@ import numpyro
 
 from maloc._jax import jnp
 from maloc.data.encounter_data import as_encounter_data
+from maloc.detection import squared_distance
 from maloc.models import _parts
 from maloc.statespace import SoftBox
 
@@ -15,7 +16,13 @@ UNITS = {"scale": "m"}
 
 
 def independent(
-    encounters, *, detection="halfnormal", loss=False, receiver_effects=False, dispersion=False
+    encounters,
+    *,
+    detection="halfnormal",
+    loss=False,
+    receiver_effects=False,
+    dispersion=False,
+    distance=squared_distance,
 ):
     """Joint density of positions and detection parameters given who heard each heard ping.
 
@@ -29,6 +36,8 @@ def independent(
         Pings may be lost to every receiver at once (collisions): site ``p_lost``.
     receiver_effects, dispersion : bool
         Receivers differ; pings differ (on the linear predictor).
+    distance : callable
+        Squared effective distance, see `maloc.detection.encounters`.
 
     Raises
     ------
@@ -50,5 +59,6 @@ def independent(
     anywhere = SoftBox(data.low, data.high, data.edge).expand([data.time.shape[0]]).to_event(1)
     position = numpyro.sample("track", anywhere, infer={"is_chain": True})
     _parts.placed(data, position)
-    law = _parts.detection(data, position, detection, loss, receiver_effects, dispersion)
+    how = (detection, loss, receiver_effects, dispersion, distance)
+    law = _parts.detection(data, position, *how)
     numpyro.sample("encounter", law.mask(jnp.any(data.heard, axis=1)), obs=data.heard)

@@ -12,6 +12,7 @@ from scipy.stats import halfnorm, lognorm, norm
 import maloc.models
 from maloc._jax import jax, jnp
 from maloc.data import EncounterHistory, Receivers, Schedule
+from maloc.detection import squared_distance
 from maloc.renewal import gap_log_likelihood
 
 NAMES = ("independent", "detection_only", "known_interval", "unknown_interval")
@@ -212,6 +213,27 @@ def test_plain_nuts_runs(name):
     draws = sampler.get_samples()
     assert np.isfinite(draws["position"]).all()
     assert ((draws["p0"] > 0) & (draws["p0"] < 1)).all()
+
+
+def twice_as_far(position, near_xy):
+    return 4 * squared_distance(position, near_xy)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_effective_distance(name):
+    """Twice the distance is half the scale; the engine takes the hook as any option."""
+    data = data_for(name)
+    values = {"p0": jnp.asarray(P0), "track": jnp.ones((len(data.time), 2))}
+    values |= {} if name == "independent" else {"sigma_step": jnp.asarray(SIGMA)}
+    model = getattr(maloc.models, name)
+
+    def density(scale, prior, **options):
+        at = values | {"scale": jnp.asarray(scale)}
+        log_prior = lognorm.logpdf(prior, 1.0, scale=float(data.spacing))
+        return float(log_density(model, (data,), options, at)[0]) - log_prior
+
+    far = density(2 * SCALE, 2 * SCALE, distance=twice_as_far)
+    np.testing.assert_allclose(far, density(SCALE, SCALE), rtol=1e-9)
 
 
 def test_tags_of_their_own_pace():

@@ -16,11 +16,13 @@ import maloc.infer
 import maloc.models
 from maloc._jax import jax, jnp
 from maloc.data import Schedule
+from maloc.detection import squared_distance
 from maloc.models import toa_track
 from tests.infer import cases
 
 SWITCHES = {n: (False, True) for n in ("loss", "receiver_effects", "dispersion")}
-DETECTION = {"detection": ("halfnormal", "logistic", "hazard")} | SWITCHES
+DETECTION = {"detection": ("halfnormal", "logistic", "hazard"), "distance": (squared_distance,)}
+DETECTION |= SWITCHES
 MOVING = DETECTION | {"movement": ("rw", "ctcrw"), "hierarchical": (False, True)}
 OPTIONS = {
     "independent": DETECTION,
