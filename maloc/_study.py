@@ -1,20 +1,18 @@
 """The study of Hostetter & Royle (2020) again: data sets in parallel, four models, resumable.
 
-Each data set and model is one job and one Parquet file; a file that is there is not made again.
-Jobs run in processes of one thread each, so that CPU seconds can be compared.
+Each data set and model is one job of `maloc._study_jobs`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from maloc._study_jobs import claim, put, run_jobs
 from maloc.errors import FitError, InputError
 
 if TYPE_CHECKING:
@@ -26,14 +24,6 @@ __all__ = ["MODELS", "Settings", "fit_job", "run_study"]
 
 MODELS = ("independent", "detection_only", "known_interval", "unknown_interval")
 TRUE = {"sigma_step": "sigma_step", "scale": "scale", "p0": "p0"}  # site -> field of Design
-_ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "POLARS_MAX_THREADS": "1",
-    "JAX_PLATFORMS": "cpu",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,43 +199,8 @@ def _job(settings: Settings, index: int, model: str, out: Path) -> str:
         found = pl.DataFrame(
             {"dataset": [index], "model": [model], "section": ["failed"], "name": [str(error)]}
         )
-    path = _job_file(out, index, model)
-    beside = path.with_suffix(f".{os.getpid()}.part")
-    found.write_parquet(beside)
-    beside.replace(path)
+    put(found, _job_file(out, index, model))
     return problem
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Environment of the worker processes, who read it when they import JAX."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _claim(out: Path, settings: Settings) -> None:
-    """Make the folder, or see that an earlier run in it was of the same study."""
-    out.mkdir(parents=True, exist_ok=True)
-    note = out / "study.json"
-    if note.exists():
-        if note.read_text() != settings.as_text():
-            raise InputError(
-                "holds results of other settings", file=note, mend="give another --out"
-            )
-    elif any(out.iterdir()):
-        raise InputError(
-            "is neither empty nor a study's folder", file=out, mend="give another --out"
-        )
-    else:
-        note.write_text(settings.as_text())
 
 
 def run_study(
@@ -278,35 +233,14 @@ def run_study(
     InputError
         If a model is unknown, or the folder holds something else.
     """
-    import multiprocessing
-    import warnings
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-
-    import polars as pl
-    from tqdm import tqdm
-
-    from maloc.errors import MalocWarning
-
     if strange := [m for m in models if m not in MODELS]:
         raise InputError(f"model '{strange[0]}' is none of {', '.join(MODELS)}")
-    _claim(out, settings)
-    jobs = [(i, m) for i in range(datasets) for m in models]
-    todo = [job for job in jobs if not _job_file(out, *job).exists()]
-    spawn = multiprocessing.get_context("spawn")
-    with (
-        _single_threaded(),
-        ProcessPoolExecutor(min(workers, max(len(todo), 1)), mp_context=spawn) as pool,
-        tqdm(total=len(jobs), initial=len(jobs) - len(todo), disable=quiet, unit="fit") as bar,
-    ):
-        running = [pool.submit(_job, settings, i, m, out) for i, m in todo]
-        try:
-            for done in as_completed(running):
-                if problem := done.result():
-                    warnings.warn(problem, MalocWarning, stacklevel=2)
-                bar.update()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return pl.concat(
-        [pl.read_parquet(_job_file(out, i, m)) for i, m in jobs], how="diagonal_relaxed"
+    claim(out, settings.as_text())
+    pairs = [(i, m) for i in range(datasets) for m in models]
+    return run_jobs(
+        _job,
+        [(settings, i, m, out) for i, m in pairs],
+        [_job_file(out, i, m) for i, m in pairs],
+        workers=workers,
+        quiet=quiet,
     )

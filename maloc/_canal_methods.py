@@ -1,0 +1,197 @@
+"""The methods of the canal study, side by side: each turns a case into positions and widths.
+
+A new method is a function of (case, settings) and one line in `METHODS`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from maloc.errors import FitError, InputError
+
+if TYPE_CHECKING:
+    from maloc._canal import Settings
+    from maloc._canal_cases import Case
+    from maloc.data.arrivals import ArrivalTimes
+    from maloc.infer.result import Fit
+    from maloc.points.result import Points
+
+__all__ = ["METHODS", "Located", "check_methods", "timed"]
+
+_Z95 = 1.959963984540054
+
+
+class Located(NamedTuple):
+    """What a method says of P pings; NaN where it says nothing.
+
+    ``position``, ``sd``, ``low`` and ``high`` (P, 2) m: estimate, standard deviation and central
+    95 %; ``warnings``; ``cpu``: seconds of the fit, NaN where its own clock is not the job's.
+    """
+
+    position: np.ndarray
+    sd: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    warnings: tuple[str, ...] = ()
+    cpu: float = float("nan")
+
+
+def _toa(case: Case, settings: Settings) -> Located:
+    """`maloc.models.toa_track` by Laplace."""
+    import maloc
+
+    return _of_fit(maloc.infer.laplace(maloc.models.toa_track, case.toa), case, settings)
+
+
+def _nuts(case: Case, settings: Settings) -> Located:
+    """The same by NUTS, started from Laplace."""
+    return _sampled(case, settings, "nuts")
+
+
+def _hmc(case: Case, settings: Settings) -> Located:
+    """The same by HMC."""
+    return _sampled(case, settings, "hmc")
+
+
+def _sampled(case: Case, settings: Settings, method: str) -> Located:
+    import maloc
+    from maloc._jax import jax
+
+    fit = maloc.infer.nuts(
+        jax.random.key(settings.seed),
+        maloc.models.toa_track,
+        case.toa,
+        draws=settings.draws,
+        method=method,
+        progress=False,
+    )
+    return _of_fit(fit, case, settings)
+
+
+def _known(case: Case, settings: Settings) -> Located:
+    """`toa_track` given its true hyperparameters (`maloc._canal_known`)."""
+    import maloc
+    from maloc._canal_known import true_values
+
+    values = true_values(case.toa, case.truth, case.emission)
+    fit = maloc.infer.laplace(_given, case.toa, values)
+    return _of_fit(fit, case, settings, between=False)  # the bridge draws its parameters
+
+
+def _given(toa, values):
+    """`toa_track` with parameters held at given values, which are data to the compiled engine."""
+    from numpyro import handlers
+
+    import maloc
+
+    handlers.condition(maloc.models.toa_track, data=values)(toa)
+
+
+def _joint(case: Case, settings: Settings) -> Located:
+    """`maloc.models.joint` by Laplace: silence counts."""
+    import maloc
+
+    model = getattr(maloc.models, "joint", None)
+    if model is None:
+        raise InputError("this version has no joint model", mend="leave method joint out")
+    return _of_fit(maloc.infer.laplace(model, case.toa), case, settings)
+
+
+def _of_fit(fit: Fit, case: Case, settings: Settings, between: bool = True) -> Located:
+    """Posterior moments of the heard pings; of the others, where asked, by the track's bridge."""
+    from maloc.infer.track import track_table
+
+    heard = case.toa.n_heard > 0
+    cpu = float(sum(stage["cpu"] for stage in fit.seconds.values()))
+    toa, rows = case.toa, np.ones(len(heard), bool)
+    if not between:
+        toa, rows = _heard_alone(toa), heard
+    table = track_table(fit, toa, seed=settings.seed)
+    if len(table) != rows.sum():  # pings that only the schedule calls for have no truth
+        table, rows = table.filter(table["heard"]), heard
+    if len(table) != rows.sum():
+        raise FitError(f"{len(table)} positions for {int(rows.sum())} pings")
+    parts = [np.full((len(heard), 2), np.nan) for _ in range(4)]
+    names = (("x", "y"), ("sd_x", "sd_y"), ("x_lo", "y_lo"), ("x_hi", "y_hi"))
+    for part, columns in zip(parts, names, strict=True):
+        part[rows] = table.select(columns).to_numpy()
+    return Located(*parts, warnings=tuple(fit.warnings), cpu=cpu)
+
+
+def _heard_alone(toa: ArrivalTimes) -> ArrivalTimes:
+    """The heard pings, nothing known of any between them."""
+    from maloc.data.arrivals import ArrivalTimes, Schedule
+
+    heard = toa.n_heard > 0
+    return ArrivalTimes(
+        toa.toa[heard], toa.receivers, toa.sound_speed[heard], schedule=Schedule("unknown")
+    )
+
+
+def _pmc(case: Case, settings: Settings) -> Located:
+    """Every ping by itself: population Monte Carlo."""
+    return _of_points(_points(case, "pmc", settings))
+
+
+def _consensus(case: Case, settings: Settings) -> Located:
+    """Every ping by itself: the arrivals that agree."""
+    return _of_points(_points(case, "consensus", settings))
+
+
+def _de(case: Case, settings: Settings) -> Located:
+    """Every ping by itself: LS-TDOA by differential evolution, the thesis's positioning."""
+    return _of_points(_points(case, "differential-evolution", settings))
+
+
+def _points(case: Case, method: str, settings: Settings) -> Points:
+    from maloc.points import locate
+
+    seed = {} if method == "consensus" else {"seed": settings.seed}
+    return locate(case.toa, method=method, **seed)
+
+
+def _of_points(points: Points) -> Located:
+    """Positions and widths of located pings; limits are the method's own where it has them."""
+    sd = np.where(points.located[:, None], points.sd, np.nan)
+    low = points.extra.get("lo", points.position - _Z95 * sd)
+    high = points.extra.get("hi", points.position + _Z95 * sd)
+    return Located(points.position, sd, low, high)
+
+
+METHODS: dict[str, Callable[[Case, Settings], Located]] = {
+    "toa": _toa,
+    "nuts": _nuts,
+    "hmc": _hmc,
+    "joint": _joint,
+    "toa-known": _known,
+    "pmc": _pmc,
+    "consensus": _consensus,
+    "de": _de,
+}
+
+
+def check_methods(names: tuple[str, ...]) -> None:
+    """Raise InputError where a method is unknown or cannot run here."""
+    import maloc
+
+    if not names:
+        raise InputError("no method was asked for", mend=f"one of {', '.join(METHODS)}")
+    if strange := [n for n in names if n not in METHODS]:
+        raise InputError(f"method '{strange[0]}' is none of {', '.join(METHODS)}")
+    if "joint" in names and not hasattr(maloc.models, "joint"):
+        raise InputError("this version has no joint model", mend="leave method joint out")
+
+
+def timed(method: str, case: Case, settings: Settings) -> Located:
+    """Run a method; CPU seconds are the fit's own, or else the whole call's."""
+    began = time.process_time()
+    found = METHODS[method](case, settings)
+    if not np.isfinite(found.cpu):
+        found = found._replace(cpu=time.process_time() - began)
+    if not np.isfinite(found.position).any():
+        raise FitError("no ping was located")
+    return found
