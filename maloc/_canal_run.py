@@ -57,7 +57,8 @@ def run(options: CanalOptions, out: Path, *, workers: int, quiet: bool) -> str:
     peer = None if options.peer is None else read_peer(options.peer)
     methods = tuple(m.strip() for m in options.methods.split(",") if m.strip())
     found = run_canal(settings, _cases(options), methods, out, workers=workers, quiet=quiet)
-    return report(found, peer, own=options.folder is None)
+    own = options.folder is None and options.detection is None
+    return report(found, peer, own)
 
 
 def _cases(options: CanalOptions) -> tuple[Address, ...]:

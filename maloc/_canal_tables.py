@@ -62,7 +62,7 @@ def report(results: pl.DataFrame, peer: dict[str, float] | None = None, own: boo
     peer : dict, optional
         A peer's mean error (m) by case.
     own : bool
-        The cases are simulated ones, to be seen beside the thesis's.
+        The cases are simulated as the thesis's were, to be seen beside them.
     """
     import polars as pl
 
@@ -117,7 +117,7 @@ def _errors(
 
     lines = ["Errors of heard pings, m (local: within 150 m of the central receiver;"]
     lines += ["<2.5: share within 2.5 m; cover: of 95 % intervals; found: pings with a position)"]
-    head = f"{'method':10}{'NA / MP':>12}{'tracks':>7}{'failed':>7}{'found':>7}{'mean':>8}{'se':>7}"
+    head = f"{'method':10}{'NA / MP':>12}{'fits':>7}{'failed':>7}{'found':>7}{'mean':>8}{'se':>7}"
     head += f"{'local':>8}{'median':>8}{'Q3':>8}{'<2.5':>7}{'cover':>7}"
     head += f"{'peer':>9}{'ratio':>7}" if peer else ""
     thesis = own and not peer
