@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from maloc import (
         arrival,
         detection,
+        drift,
         errors,
         infer,
         intervals,
@@ -27,11 +28,13 @@ if TYPE_CHECKING:
         sync,
     )
     from maloc.data import (
+        ArrivalHistory,
         ArrivalTimes,
         Detections,
         EncounterHistory,
         Receivers,
         Schedule,
+        arrival_history,
         encounter_history,
         read_detections,
         read_receivers,
@@ -43,14 +46,17 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "ArrivalHistory",
     "ArrivalTimes",
     "Detections",
     "EncounterHistory",
     "Receivers",
     "Schedule",
     "arrival",
+    "arrival_history",
     "check",
     "detection",
+    "drift",
     "encounter_history",
     "errors",
     "infer",
@@ -76,6 +82,7 @@ if not TYPE_CHECKING:
         [
             "arrival",
             "detection",
+            "drift",
             "errors",
             "infer",
             "intervals",

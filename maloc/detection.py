@@ -187,6 +187,22 @@ class Encounters(dist.Distribution):
         miss = _where(self.listening, 1 - self._probability(), 1.0)
         return self._silent(self._mixed(log_product(miss)))
 
+    @property
+    def log_heard(self) -> Float[Array, " S"]:
+        """Log probability that somebody hears a ping sent at each state, (S,).
+
+        Far from every receiver, where the chance of silence rounds to 1, it is the sum of the
+        receivers' chances.
+        """
+        log_p = self.linear if self.factor is None else self.linear + jnp.log(self.factor)
+        heard = _where(self.listening, log_p, -jnp.inf)
+        far = self._mixed(jax.nn.logsumexp(jnp.maximum(heard, -1e6), axis=-1))
+        miss = _where(self.listening, 1 - self._probability(), 1.0)
+        silent = self._mixed(log_product(miss))
+        near = silent < -1e-6
+        some = jnp.where(near, jnp.log(-jnp.expm1(jnp.where(near, silent, -1.0))), far)
+        return some if self.p_lost is None else some + jnp.log1p(-self.p_lost)
+
     def log_prob(self, value: Bool[Numbers, "*N S K"]) -> Array:
         """Log probability of histories ``value`` (..., S, K), shape (..., S)."""
         heard = jnp.asarray(value, bool)

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from maloc.models.detection_only import detection_only
 from maloc.models.independent import independent
+from maloc.models.joint import joint
 from maloc.models.known_interval import known_interval
 from maloc.models.toa_track import toa_track
 from maloc.models.unknown_interval import unknown_interval
 
-__all__ = ["detection_only", "independent", "known_interval", "toa_track", "unknown_interval"]
+__all__ = [
+    "detection_only",
+    "independent",
+    "joint",
+    "known_interval",
+    "toa_track",
+    "unknown_interval",
+]

@@ -14,10 +14,21 @@ import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
 from maloc.detection import KINDS, encounters, linear_shift
+from maloc.drift import GaussMarkov
 from maloc.movement import CTCRW, Brownian
 from maloc.statespace import SoftBox
 
-__all__ = ["UNITS", "MissedPings", "detection", "placed", "refuse_unknown", "track"]
+__all__ = [
+    "UNITS",
+    "Heard",
+    "MissedPings",
+    "detection",
+    "encountered",
+    "placed",
+    "range_drift",
+    "refuse_unknown",
+    "track",
+]
 
 UNITS = {"scale": "m", "sigma_step": "m/s^.5", "sigma_vel": "m/s", "t05": "s"}
 MOVEMENT = ("rw", "ctcrw")
@@ -66,11 +77,16 @@ def placed(data, position) -> None:
 
 
 def detection(
-    data, position, kind: str, loss: bool, receiver_effects: bool, dispersion: bool, distance
-):
-    """Sites of detection: the law (`maloc.detection.Encounters`) of who hears a ping sent there."""
+    data, position, kind: str, loss: bool, receiver_effects: bool, dispersion: bool, distance,
+    stretch=None,
+):  # fmt: skip
+    """Sites of detection: the law (`maloc.detection.Encounters`) of who hears a ping sent there.
+
+    ``stretch`` (S,): factor on the scale at each state.
+    """
     p0 = numpyro.sample("p0", dist.Uniform(0.0, 1.0))
     scale = numpyro.sample("scale", dist.LogNormal(jnp.log(data.spacing), 1.0))
+    scale = scale if stretch is None else scale * stretch[:, None]
     shape = None
     if kind == "hazard":
         shape = numpyro.sample("shape", dist.LogNormal(jnp.log(4.0), 0.7))
@@ -90,6 +106,51 @@ def detection(
         kind, position, data.near_xy, data.listening, p0, scale, shape,
         shift=shift, p_lost=p_lost, dispersion=spread, squared=distance,
     )  # fmt: skip
+
+
+def range_drift(data):
+    """Sites of the detection range's drift in time: a factor on the scale at each state (S,)."""
+    sd = numpyro.sample("range_sd", dist.LogNormal(jnp.log(0.15), 0.7))
+    memory = 100 * data.encounters.interval
+    memory = numpyro.sample("range_memory", dist.LogNormal(jnp.log(memory), 0.7))
+    drift = numpyro.sample("range_drift", GaussMarkov(data.dt, memory, data.tag))
+    return jnp.exp(sd * drift)
+
+
+def encountered(data, law) -> None:
+    """Sites of who heard each ping, and of the pings that nobody heard as far as they are known."""
+    encounters, pings = data.encounters, jnp.asarray(data.ping)
+    if data.silence == "unknown":
+        law = Heard(law)
+    numpyro.sample("encounter", law.mask(pings), obs=encounters.heard)
+    if data.silence == "summed":
+        log_q = numpyro.deterministic("log_q", law.log_unheard)
+        missed = MissedPings(encounters.gaps, log_q)
+        numpyro.sample("gap", missed, obs=jnp.zeros(missed.batch_shape))
+
+
+class Heard(dist.Distribution):
+    """Encounter histories of pings that are known because somebody heard them.
+
+    Parameters
+    ----------
+    law : Encounters
+        Of all pings; its density is divided by the probability that somebody hears one.
+    """
+
+    local = True
+    arg_constraints: Any = {}
+    support: Any = dist.constraints.independent(dist.constraints.boolean, 1)
+    pytree_data_fields = ("law",)
+
+    def __init__(self, law, *, validate_args=None) -> None:
+        self.law = law
+        super().__init__(law.batch_shape, law.event_shape, validate_args=validate_args)
+
+    def log_prob(self, value):
+        """Log probability of histories (S, K) with a detection each, (S,)."""
+        total = self.law.log_prob(value)
+        return total - jnp.broadcast_to(self.law.log_heard, total.shape)
 
 
 class MissedPings(dist.Distribution):

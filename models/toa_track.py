@@ -12,17 +12,13 @@ from __future__ import annotations
 import numpyro
 import numpyro.distributions as dist
 
-from maloc._jax import jax, jnp
-from maloc.arrival import DDetect, Gaussian, Student
+from maloc._jax import jnp
 from maloc.data.model_data import as_toa_data
-from maloc.movement import CTCRW, Brownian
+from maloc.models import _toa
 
 __all__ = ["UNITS", "toa_track"]
 
-UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s"}
-UNITS |= {"interval_sd": "s", "sound_speed": "m/s"}
-
-_OPTIONS = ("ctcrw", "rw"), ("ddetect", "gaussian", "student"), ("auto", "given", "estimated")
+UNITS = _toa.UNITS
 
 
 def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
@@ -51,26 +47,15 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     first arrival), so minus the distance to the first receiver where that arrival is direct.
     ``sigma`` (m) is the direct arrivals' error in time, times c.
     """
-    for option, known in zip((movement, error, sound_speed), _OPTIONS, strict=True):
-        if option not in known:
-            raise ValueError(f"{option!r} is none of {', '.join(known)}")
+    _toa.refuse_unknown(
+        movement=(movement, ("ctcrw", "rw")),
+        error=(error, ("ddetect", "gaussian", "student")),
+        sound_speed=(sound_speed, ("auto", "given", "estimated")),
+    )
     data = as_toa_data(toa)
-    if movement == "ctcrw":
-        sigma_vel = numpyro.sample("sigma_vel", dist.LogNormal(jnp.log(0.3), 1.0))
-        t05 = numpyro.sample("t05", dist.LogNormal(jnp.log(260.0), 1.5))
-        path = CTCRW(data.dt, sigma_vel, t05, data.centre, data.spread)
-        position = numpyro.sample("track", path)[:, 0]
-    else:
-        sigma_step = numpyro.sample("sigma_step", dist.LogNormal(0.0, 1.5))
-        path = Brownian(data.dt, sigma_step, data.centre, data.spread)
-        position = numpyro.sample("track", path)
-    ranges = dist.Normal(0.0, data.spread).expand(data.time.shape).to_event(1)
-    emission = numpyro.sample("emission", ranges, infer={"is_chain": True})
-
-    ratio = 1.0
-    if sound_speed == "estimated" or (sound_speed == "auto" and not data.speed_known):
-        ratio = numpyro.sample("sound_speed_ratio", dist.Normal(1.0, data.speed_sd))
-        numpyro.deterministic("sound_speed", ratio * jnp.mean(data.speed))
+    position = _toa.path(data, movement)
+    emission = _toa.emission(data)
+    ratio = _toa.speed_ratio(data, sound_speed)
     time = data.time + emission / (data.speed * ratio)
     if data.schedule == "stable":
         mean, sd = data.interval
@@ -80,27 +65,7 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
         law = dist.Normal(n * mean, sd * jnp.sqrt(n)).mask(data.interval_known)
         numpyro.factor("schedule", law.log_prob(jnp.diff(time)))
     elif data.schedule == "random":
-        low, high = (bound * data.n_intervals for bound in data.interval)
-        edge = 0.02
-        gap = jnp.diff(time)
-        inside = jax.nn.log_sigmoid((gap - low) / edge) + jax.nn.log_sigmoid((high - gap) / edge)
-        numpyro.factor("schedule", jnp.where(data.interval_known, inside, 0.0))
-
-    sigma = numpyro.sample("sigma", dist.LogNormal(jnp.log(2.0), 1.5))
-    east = position[:, :1] - data.receiver_xy.T[:1]
-    north = position[:, 1:] - data.receiver_xy.T[1:]
-    distance = jnp.sqrt(east**2 + north**2 + 0.25)
-    arrival = (emission[:, None] + distance) / ratio
-    if error == "ddetect":
-        logit_w = dist.TransformedDistribution(
-            dist.Normal(-2.5, 1.2), dist.transforms.SigmoidTransform()
-        )
-        w = numpyro.sample("w", logit_w)
-        law = DDetect(arrival, sigma, data.phi, w, background=1e-4)
-    elif error == "gaussian":
-        law = Gaussian(arrival, sigma)
-    else:
-        law = Student(arrival, sigma)
+        _toa.within_limits(data, time)
     numpyro.deterministic("position", position)
     numpyro.deterministic("emission_time", time)
-    numpyro.sample("arrival", law.mask(data.heard), obs=data.range)
+    _toa.arrivals(data, position, emission, ratio, error)

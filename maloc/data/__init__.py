@@ -6,6 +6,7 @@ Nothing here needs JAX; polars is imported only when a table is read or written.
 from typing import TYPE_CHECKING, Any
 
 __all__ = [
+    "ArrivalHistory",
     "ArrivalTimes",
     "CheckReport",
     "Detections",
@@ -15,6 +16,7 @@ __all__ = [
     "Receivers",
     "Schedule",
     "SetAside",
+    "arrival_history",
     "collinear",
     "encounter_history",
     "match_tag",
@@ -25,6 +27,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "ArrivalHistory": "joint_history",
     "ArrivalTimes": "arrivals",
     "CheckReport": "check",
     "Detections": "detections",
@@ -34,6 +37,7 @@ _HOME = {
     "Receivers": "receivers",
     "Schedule": "arrivals",
     "SetAside": "arrivals",
+    "arrival_history": "joint_history",
     "collinear": "receivers",
     "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
@@ -51,6 +55,7 @@ if TYPE_CHECKING:
     from maloc.data.encounter_grouping import encounter_history
     from maloc.data.encounters import EncounterHistory
     from maloc.data.grouping import toa_matrix
+    from maloc.data.joint_history import ArrivalHistory, arrival_history
     from maloc.data.readers import read_detections, read_receivers, read_toa
     from maloc.data.receivers import Receivers, collinear
     from maloc.data.report import Note, ReadReport

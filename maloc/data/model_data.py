@@ -22,8 +22,8 @@ Numbers = Array | np.ndarray
 
 __all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
 
-_MIN_LATENESS = 0.25  # s; receivers are blanked about this long after a detection
-_SPEED_SD = 0.01  # relative; a guessed sound speed is within 2 % of the truth
+MIN_LATENESS = 0.25  # s; receivers are blanked about this long after a detection
+SPEED_SD = 0.01  # relative; a guessed sound speed is within 2 % of the truth
 _STATIC = ["schedule", "speed_known"]
 _MIN_STEP = 1e-3  # s; two pings at one instant still need a step
 
@@ -106,7 +106,7 @@ def bucket(n: int) -> int:
     return size
 
 
-def _intervals(first: np.ndarray, kind: str, lo: float, hi: float, slack: float) -> np.ndarray:
+def count_intervals(first: np.ndarray, kind: str, lo: float, hi: float, slack: float) -> np.ndarray:
     """Burst intervals in each gap where the limits leave one answer, else 0."""
     gaps = np.diff(first)
     if kind == "stable":
@@ -146,7 +146,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
     diameter = float(np.max(np.linalg.norm(used[:, None] - used[None], axis=-1)))
     schedule = toa.schedule
     slack = 0.2 * diameter / float(speed.mean()) + 0.05
-    n_intervals = _intervals(first, schedule.kind, schedule.lo, schedule.hi, slack)
+    n_intervals = count_intervals(first, schedule.kind, schedule.lo, schedule.hi, slack)
 
     sd = toa.sound_speed_sd
     n_pings, n_receivers = ranges.shape
@@ -162,11 +162,11 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         time=np.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
         dt=np.asarray(np.append(steps, np.full(more, step))),
         speed=np.asarray(np.append(speed, np.full(more, speed[-1]))),
-        speed_sd=np.asarray(_SPEED_SD if sd is None else sd / float(speed.mean())),
+        speed_sd=np.asarray(SPEED_SD if sd is None else sd / float(speed.mean())),
         receiver_xy=np.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
         centre=np.asarray(centre),
         spread=np.asarray(max(1000.0, 2 * diameter)),
-        phi=np.asarray(max(diameter, _MIN_LATENESS * float(speed.mean()))),
+        phi=np.asarray(max(diameter, MIN_LATENESS * float(speed.mean()))),
         n_intervals=np.asarray(np.append(n_intervals, np.zeros(more))),
         interval=np.asarray([schedule.lo, schedule.hi], float),
         valid=np.asarray(np.arange(pings) < n_pings),

@@ -16,13 +16,14 @@ import numpy as np
 from maloc._jax import jax
 from maloc.arrival import DDetect
 from maloc.data.encounter_data import EncounterData
+from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer.mode import anneal, find_mode
 from maloc.movement import CTCRW, Brownian
 from maloc.statespace import SoftBox
 
-__all__ = ["initial_values", "repair", "stable_interval"]
+__all__ = ["initial_values", "put_positions", "repair", "stable_interval"]
 
 _FINE = (100.0, 60.0, 35.0, 20.0, 12.0, 8.0, 6.0, 5.0, 4.0, 3.0)
 
@@ -46,15 +47,17 @@ def initial_values(
     data = args[0] if args else None
     u = cm.flat_globals(medians)
     x = np.zeros((length, cm.d))
+    emission = _column(cm, "emission")
+    if isinstance(data, JointData) and emission is None:
+        data = data.encounters
     if isinstance(data, EncounterData):
-        _put_positions(cm, x, np.asarray(data.initial) if positions is None else positions)
+        put_positions(cm, x, np.asarray(data.initial) if positions is None else positions)
         return find_mode(cm, args, x, u, method="gauss-newton", max_steps=10, tol=1e-2).x, u
-    if not isinstance(data, ToaData):
+    if not isinstance(data, ToaData | JointData):
         return x, u
     xy = np.broadcast_to(_middle(data), (length, 2)) if positions is None else positions
     xy = np.concatenate([xy, np.repeat(xy[-1:], length - len(xy), axis=0)])
-    _put_positions(cm, x, xy)
-    emission = _column(cm, "emission")
+    put_positions(cm, x, xy)
     if emission is not None:
         x[:, emission] = -_nearest(data, xy)
     receivers = np.asarray(data.receiver_xy)[np.asarray(data.heard).any(axis=0)]
@@ -67,7 +70,7 @@ def initial_values(
     return repair(cm, args, x, u), u
 
 
-def _middle(data: ToaData) -> np.ndarray:
+def _middle(data: ToaData | JointData) -> np.ndarray:
     """Centre of the array; beside it where the receivers stand on one line.
 
     The density is then symmetric about that line, and a path that starts on it would stay on it.
@@ -87,7 +90,7 @@ def repair(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, rounds: in
     Returns the path `x` (T, d) itself where nothing is gained; else the mode reached from the
     better explanation, as long as its joint density is higher.
     """
-    if not (args and isinstance(args[0], ToaData)) or _column(cm, "emission") is None:
+    if not (args and isinstance(args[0], ToaData | JointData)) or _column(cm, "emission") is None:
         return x
     value = find_mode(cm, args, x, u, max_steps=15, tol=1e-3)
     for _ in range(rounds):
@@ -119,12 +122,13 @@ def _position_columns(cm: ChainModel) -> list[int]:
     return []
 
 
-def _put_positions(cm: ChainModel, x: np.ndarray, xy: np.ndarray) -> None:
+def put_positions(cm: ChainModel, x: np.ndarray, xy: np.ndarray) -> None:
+    """Write positions (T, 2) into the flat path (T, d), in place."""
     for axis, column in enumerate(_position_columns(cm)):
         x[:, column] = xy[:, axis]
 
 
-def _nearest(data: ToaData, xy: np.ndarray) -> np.ndarray:
+def _nearest(data: ToaData | JointData, xy: np.ndarray) -> np.ndarray:
     """Distance (m) from each position to the receiver that heard the ping first."""
     ranges = np.where(np.asarray(data.heard), np.asarray(data.range), np.inf)
     first = np.asarray(data.receiver_xy)[ranges.argmin(axis=1)]
@@ -133,7 +137,7 @@ def _nearest(data: ToaData, xy: np.ndarray) -> np.ndarray:
 
 def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Parameters the models of this package share, from residuals and speeds of a path."""
-    data: ToaData = args[0]
+    data: ToaData | JointData = args[0]
     values = dict(cm.values(x, u))
     valid = np.asarray(data.valid)
     parts = [p for p in cm.pointwise(x, u, args).values() if "p_direct" in p]
@@ -141,7 +145,8 @@ def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.nd
         heard = np.asarray(parts[0].get("mask", data.heard)) & valid[:, None]
         p = np.asarray(parts[0]["p_direct"])[heard]
         residual = np.asarray(parts[0]["residual"])[heard]
-        freedom = max(heard.sum() - 3 * valid.sum(), 0.3 * heard.sum()) / heard.sum()
+        pings = heard.any(axis=1).sum()
+        freedom = max(heard.sum() - 3 * pings, 0.3 * heard.sum()) / heard.sum()
         spread = np.sqrt(np.sum(p * residual**2) / max(np.sum(p) * freedom, 1e-9))
         values["sigma"] = np.clip(spread, 0.02, 20.0)
         if "w" in values:
@@ -164,7 +169,7 @@ def _score(residual, sigma, phi, w):
     return DDetect(0.0, sigma, phi, w, background=1e-4).log_prob(residual)
 
 
-def _reassign(cm: ChainModel, data: ToaData, x: np.ndarray, values: dict):
+def _reassign(cm: ChainModel, data: ToaData | JointData, x: np.ndarray, values: dict):
     """Better emission time (and position) for pings that have one: path, any moved or not."""
     columns, emission = _position_columns(cm), _column(cm, "emission")
     assert emission is not None
@@ -210,4 +215,6 @@ def stable_interval(data: ToaData, emission: np.ndarray, values: dict) -> dict:
     middle = float(np.median(each))
     spread = 1.4826 * float(np.median(np.abs(each - middle) * np.sqrt(n)))
     offset = np.clip((middle / mean - 1) / 1e-3, -3.0, 3.0)
-    return values | {"interval_offset": offset, "interval_sd": np.clip(spread, sd / 5, 5 * sd)}
+    if spread < 0.01 * mean:  # else there is no beat to be found: it is a random interval
+        spread = np.clip(spread, sd / 5, 5 * sd)
+    return values | {"interval_offset": offset, "interval_sd": spread}

@@ -9,12 +9,15 @@ import numpy as np
 
 from maloc._jax import require_x64
 from maloc._stages import Stages
+from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer.initial import initial_values, repair, stable_interval
 from maloc.infer.marginal import MarginalFit, maximise_marginal
+from maloc.infer.mode import _factor, find_mode
 from maloc.infer.result import LaplaceFit
+from maloc.infer.starts import joint_starts
 
 __all__ = ["laplace"]
 
@@ -65,6 +68,7 @@ def laplace(
     require_x64()
     stages = Stages()
     with stages.time("prepare"):
+        args = tuple(map(getattr(model, "reads", _same), args[:1])) + args[1:]
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
     try:
@@ -79,10 +83,14 @@ def laplace(
     return LaplaceFit(cm, args, options, stages, tuple(warnings), fit, draws, seed)
 
 
+def _same(x):
+    return x
+
+
 def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> MarginalFit:
     """Start, fit, and fit again as long as single pings find a better explanation."""
     with stages.time("initial"):
-        x, u = _start(cm, args, path, positions)
+        x, u = _best(cm, args, _starts(cm, args, path, positions))
         if not np.isfinite(_value(cm, x, u, args)):
             raise FitError("the joint density is not finite at the initial values")
     with stages.time("parameters"):
@@ -95,6 +103,25 @@ def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> Margin
         with stages.time("parameters"):
             fit = maximise_marginal(cm, args, x, fit.u)
     return fit
+
+
+def _starts(cm: ChainModel, args: tuple, path, positions) -> list:
+    """Starts of path and parameters, one for most models."""
+    if args and isinstance(args[0], JointData) and any(s.name == "emission" for s in cm.chain):
+        return list(joint_starts(cm, args, path, positions))
+    return [_start(cm, args, path, positions)]
+
+
+def _best(cm: ChainModel, args: tuple, starts: list) -> tuple[np.ndarray, np.ndarray]:
+    """Of several starts the one whose mode has the highest Laplace marginal likelihood."""
+    if len(starts) == 1:
+        return starts[0]
+    found = []
+    for x, own in starts:
+        mode = find_mode(cm, args, x, own, max_steps=25, tol=1e-3)
+        band = cm.terms(mode.x, own, args, 0.0, False)[2]
+        found.append((mode.value + 0.5 * _factor(band, cm.d).log_det, mode.x, own))
+    return min(found, key=lambda f: f[0])[1:]
 
 
 def _value(cm: ChainModel, x, u, args: tuple) -> float:

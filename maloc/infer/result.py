@@ -9,6 +9,7 @@ import numpy as np
 from maloc._jax import jnp
 from maloc._stages import Stages
 from maloc.data.encounter_data import EncounterData
+from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
@@ -57,7 +58,7 @@ class Fit:
     @property
     def n_states(self) -> int:
         """States of the chain without padding."""
-        if self.args and isinstance(self.args[0], ToaData | EncounterData):
+        if self.args and isinstance(self.args[0], ToaData | EncounterData | JointData):
             return int(np.asarray(self.args[0].valid).sum())
         return self.cm.length(self.args)
 

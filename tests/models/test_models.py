@@ -29,6 +29,15 @@ OPTIONS = {
     "detection_only": MOVING,
     "known_interval": MOVING,
     "unknown_interval": MOVING,
+    "joint": DETECTION
+    | {
+        "movement": ("ctcrw", "rw"),
+        "arrivals": ("ddetect", "gaussian", "student", None),
+        "detection": (*DETECTION["detection"], None),
+        "schedule": (True, False),
+        "sound_speed": ("auto", "given", "estimated", "drifting"),
+        "range_drift": (True, False),
+    },
     "toa_track": {
         "movement": ("ctcrw", "rw"),
         "error": ("ddetect", "gaussian", "student"),

@@ -1,0 +1,129 @@
+"""Starts of the joint model: from arrival times alone, and from a grid; the likelihood decides.
+
+Silence and a stiff schedule make hills of their own, so neither is switched on before there is a
+track: the parts of the model that are left out at first are the arguments that switch them off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from maloc.data.joint_data import JointData
+from maloc.infer._grid import grid_paths
+from maloc.infer._model import ChainModel, chain_model
+from maloc.infer.initial import initial_values, put_positions, repair
+from maloc.infer.marginal import MarginalFit, maximise_marginal
+from maloc.infer.mode import anneal, find_mode
+
+__all__ = ["joint_starts"]
+
+_STIFF = ("stable", "sequence")
+_TIGHTER = (300.0, 100.0, 30.0, 10.0)  # ms: a stiff schedule is tightened in these steps
+
+
+def joint_starts(
+    cm: ChainModel, args: tuple, path, positions=None, draws: int = 2
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Paths (S, d) and parameters (k,) to start a fit of the joint model from.
+
+    Yields
+    ------
+    The fit of arrival times alone; then paths on a grid, by arrival times and silence.
+    """
+    data: JointData = args[0]
+    bare = {"detection": None, "schedule": cm.options.get("schedule", True)}
+    bare["schedule"] = bare["schedule"] and data.schedule not in _STIFF
+    alone = chain_model(cm.model, cm.options | bare, args, path)
+    fit = maximise_marginal(alone, args, *initial_values(alone, args, positions))
+    fit = fit._replace(x=repair(alone, args, fit.x, fit.u))
+    x, u = _carry(alone, fit, cm, args)
+    u = _detection(cm, args, x, u)
+    yield _tightened(cm, args, x, u)
+    values = cm.values(x, u)
+    miss, hit = _curves(values) if "p0" in values else (None, None)
+    speed = float(values["sigma_vel"]) if "sigma_vel" in values else 0.3
+    sigma = float(values["sigma"])
+    for way in grid_paths(data, miss, hit, sigma, speed, draws, np.random.default_rng(0)):
+        start = x.copy()
+        put_positions(cm, start, way)
+        _put_emission(cm, data, start, way, sigma)
+        start = anneal(cm, args, start, _loose(cm, u), (12.0, 6.0, 3.0))
+        yield _tightened(cm, args, start, u)
+
+
+def _carry(
+    source: ChainModel, fit: MarginalFit, cm: ChainModel, args: tuple
+) -> tuple[np.ndarray, np.ndarray]:
+    """The fit of a smaller model as values of a larger one; what it lacks: 0, and medians."""
+    values = {k: np.asarray(v) for k, v in source.values(fit.x, fit.u).items()}
+    u = cm.flat_globals({k: np.asarray(v) for k, v in cm.prior_medians(args).items()} | values)
+    x = np.zeros((len(fit.x), cm.d))
+    for site in cm.chain:
+        if site.name in values:
+            x[:, site.columns] = values[site.name].reshape(len(x), -1)
+    return x, u
+
+
+def _detection(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Height and scale of the detection function by the joint density on a path."""
+    values = {k: np.asarray(v) for k, v in cm.values(x, u).items()}
+    if "p0" not in values:
+        return u
+    best, found = np.inf, u
+    for scale in float(values["scale"]) * 1.4 ** np.arange(-6, 8):
+        for p0 in (0.3, 0.6, 0.85, 0.97):
+            trial = cm.flat_globals(values | {"p0": p0, "scale": scale})
+            value = float(cm.exact(x, trial, args, 0.0)[0])
+            if value < best:
+                best, found = value, trial
+    return found
+
+
+def _curves(values: dict):
+    """Rough log probabilities of missing and of hearing at distances, by a half-normal."""
+    p0, scale = float(values["p0"]), float(values["scale"])
+
+    def hit(away):
+        return np.log(p0) - 0.5 * (away / scale) ** 2
+
+    def miss(away):
+        return np.log1p(-np.minimum(np.exp(hit(away)), 1 - 1e-6))
+
+    return miss, hit
+
+
+def _put_emission(cm: ChainModel, data: JointData, x, xy, sigma: float) -> None:
+    """Emission times that suit the positions best: on the side where no arrival is early."""
+    column = next(s.columns.start for s in cm.chain if s.name == "emission")
+    heard = np.asarray(data.heard)
+    away = np.linalg.norm(xy[:, None] - np.asarray(data.receiver_xy), axis=2)
+    reach = np.where(heard, np.asarray(data.range) - away, np.nan)
+    for t in np.flatnonzero(heard.any(axis=1)):
+        tried = reach[t, heard[t]]
+        off = tried - tried[:, None]
+        score = np.where(off > -3 * sigma, np.maximum(-0.5 * (off / sigma) ** 2, -4.0), -12.0)
+        x[t, column] = tried[score.sum(axis=1).argmax()]
+
+
+def _loose(cm: ChainModel, u: np.ndarray, sd: float = 1e3) -> np.ndarray:
+    """The parameters, a stiff schedule's drift given as `sd` ms."""
+    values = {s.name: np.asarray(s.transform(u[s.place].reshape(s.shape))) for s in cm.globals}
+    if "interval_drift" not in values:
+        return u
+    return cm.flat_globals(values | {"interval_drift": sd})
+
+
+def _tightened(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray):
+    """Mode of the path, a stiff schedule closing in on it by and by."""
+    loose = _loose(cm, u)
+    if loose is u:
+        return find_mode(cm, args, x, u, method="robust", max_steps=6, tol=1e-2).x, u
+    for sd in _TIGHTER:
+        x = find_mode(cm, args, x, _loose(cm, u, sd), method="robust", max_steps=6, tol=1e-2).x
+    values = {k: np.asarray(v) for k, v in cm.values(x, u).items()}
+    known = np.asarray(args[0].interval_known)
+    spread = np.diff(values["interval"])[known]
+    values["interval_drift"] = np.clip(1.5 * np.median(np.abs(spread)), 0.3, 300.0)
+    return x, cm.flat_globals(values)

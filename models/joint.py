@@ -1,0 +1,104 @@
+# pyright: reportIndexIssue=false
+"""Everything the array tells in one model: arrival times, silence, schedule, medium, movement."""
+
+from __future__ import annotations
+
+import numpyro
+
+from maloc.data.joint_data import as_joint_data
+from maloc.data.joint_history import as_history
+from maloc.detection import KINDS, squared_distance
+from maloc.models import _parts, _toa
+
+__all__ = ["UNITS", "joint"]
+
+UNITS = _parts.UNITS | _toa.UNITS | {"interval_drift": "ms", "interval": "ms"}
+UNITS |= {"range_memory": "s", "sound_speed_memory": "s"}
+
+
+def joint(
+    history,
+    *,
+    movement="ctcrw",
+    arrivals="ddetect",
+    detection="halfnormal",
+    schedule=True,
+    sound_speed="auto",
+    range_drift=True,
+    loss=False,
+    receiver_effects=False,
+    dispersion=False,
+    distance=squared_distance,
+):
+    """Joint density of tracks, emission times and parameters given all that was and wasn't heard.
+
+    Parameters
+    ----------
+    history : ArrivalTimes, ArrivalHistory or JointData
+        Arrival times and encounters of one tag or several, see `maloc.arrival_history`.
+    movement : {"ctcrw", "rw"}
+        Continuous-time correlated random walk, or Brownian motion.
+    arrivals : {"ddetect", "gaussian", "student", None}
+        Arrival error; None: arrival times say nothing.
+    detection : {"halfnormal", "logistic", "hazard", None}
+        Detection function of distance; None: who heard a ping, and who did not, says nothing.
+        Pings known only because they were heard are conditioned on having been heard; where the
+        history knows or sums out those that nobody heard, these count too.
+    schedule : bool
+        Whether the burst interval ties the emission times.
+    sound_speed : {"auto", "given", "estimated", "drifting"}
+        Estimated: one factor on the given speed. Drifting: one that varies slowly in time as well.
+        Auto: estimated where the data say that the speed is not sure.
+    range_drift : bool
+        The detection range drifts in time (Gauss-Markov on its log).
+    loss : bool
+        Pings may be lost to every receiver at once; nothing tells so where only heard pings count.
+    receiver_effects, dispersion, distance
+        See `maloc.models.known_interval`.
+
+    Raises
+    ------
+    ValueError
+        If an option is none of these, or nothing is left to learn from.
+
+    Notes
+    -----
+    Sites: ``track`` (S, 2, 2) m and m/s, or (S, 2) m; ``emission`` (S,) m: c (emission time - first
+    arrival); ``range_drift`` (S,), in sds; ``interval`` (S,) ms, how far a stable interval or a
+    known sequence's is from its nominal length; ``sound_speed_drift`` (S,), in sds.
+
+    References
+    ----------
+    Arrival times: Baktoft et al. (2017) Sci. Rep. 7: 14294; silence and schedule: Hostetter & Royle
+    (2020) Mov. Ecol. 8: 15. Their union, and the summing out of missed pings, are this package's.
+    """
+    _toa.refuse_unknown(
+        movement=(movement, ("ctcrw", "rw")),
+        arrivals=(arrivals, ("ddetect", "gaussian", "student", None)),
+        detection=(detection, (*KINDS, None)),
+        sound_speed=(sound_speed, ("auto", "given", "estimated", "drifting")),
+    )
+    if arrivals is None and detection is None:
+        raise ValueError("neither arrivals nor detection: nothing to learn from")
+    data = as_joint_data(history)
+    if arrivals is None:
+        position = _parts.track(data.encounters, movement, False)
+    else:
+        position = _toa.path(data, movement, data.tag)
+        numpyro.deterministic("position", position)
+        emission = _toa.emission(data)
+        ratio = _toa.speed_ratio(data, sound_speed)
+        time = data.time + emission / (data.speed * ratio)
+        numpyro.deterministic("emission_time", time)
+        if schedule and data.schedule in ("stable", "sequence"):
+            _toa.beat(data, time)
+        elif schedule and data.schedule == "random":
+            _toa.within_limits(data, time)
+        _toa.arrivals(data, position, emission, ratio, arrivals, data.clock_sd)
+    if detection is not None:
+        stretch = _parts.range_drift(data) if range_drift else None
+        how = (detection, loss, receiver_effects, dispersion, distance, stretch)
+        _parts.encountered(data, _parts.detection(data.encounters, position, *how))
+
+
+joint.reads = as_history  # what the engine makes of the first argument
