@@ -134,24 +134,23 @@ def _heard_alone(toa: ArrivalTimes) -> ArrivalTimes:
 
 def _pmc(case: Case, settings: Settings) -> Located:
     """Every ping by itself: population Monte Carlo."""
-    return _of_points(_points(case, "pmc", settings))
+    from maloc.points import locate
+
+    return _of_points(locate(case.toa, "pmc", seed=settings.seed))
 
 
 def _consensus(case: Case, settings: Settings) -> Located:
     """Every ping by itself: the arrivals that agree."""
-    return _of_points(_points(case, "consensus", settings))
+    from maloc.points import locate
+
+    return _of_points(locate(case.toa, "consensus"))
 
 
 def _de(case: Case, settings: Settings) -> Located:
     """Every ping by itself: LS-TDOA by differential evolution, the thesis's positioning."""
-    return _of_points(_points(case, "differential-evolution", settings))
-
-
-def _points(case: Case, method: str, settings: Settings) -> Points:
     from maloc.points import locate
 
-    seed = {} if method == "consensus" else {"seed": settings.seed}
-    return locate(case.toa, method=method, **seed)
+    return _of_points(locate(case.toa, "differential-evolution", seed=settings.seed))
 
 
 def _of_points(points: Points) -> Located:

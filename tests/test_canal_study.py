@@ -164,7 +164,8 @@ def test_scores_of_pings_by_hand():
     assert scores["range"][:2] == pytest.approx([np.hypot(10, 10) - 10, 4.0])
     assert scores["bearing"][:2] == pytest.approx([45.0, 0.0])
     assert all(np.isnan(scores[n][2]) for n in ("error", "covered", "range", "bearing"))
-    opposite = ping_scores(truth[:1], -position[:1] * [1, 0], sd[:1], truth[:1], truth[:1], [0, 0])
+    behind = -position[:1] * [1, 0]
+    opposite = ping_scores(truth[:1], behind, sd[:1], behind, behind, np.zeros(2))
     assert opposite["bearing"] == pytest.approx([180.0])
 
 
