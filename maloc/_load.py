@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
 
 ROW = "row in the detections as read"  # extra column that survives the synchronisation
+ROUGHLY = 1.0  # s; how well clocks agree that were brought together by the animals' own pings
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ class Source(NamedTuple):
     detections: Detections | None
     sync: ClockSync | None
     skipped: dict[str, str]  # tags that cannot be positioned, and why
+    beacons: tuple[ArrivalTimes, ...] = ()  # sync tags' pings, with --sync beacons
 
 
 def load(options: TrackOptions, log: Log) -> Source:
@@ -175,18 +178,26 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         sync = _sync(options, detections, receivers, log)
         place = receivers if sync is None else sync.receivers
         common = numbered if sync is None else sync.apply(numbered)
+        if options.sync == "beacons":
+            common = _roughly(numbered, receivers, options)
         log.report(common.report)
     speed = options.speed()
     if np.isnan(speed):
         speed = None if sync is None else sync.sound_speed
     sure = None if sync is None or sync.sound_speed != speed else sync.sound_speed_sd or None
     toas, skipped = [], {}
+    known: dict[str, Any] = {"sound_speed": speed}
+    if options.sync == "beacons":
+        known["tolerance"] = ROUGHLY
+    grouped = partial(toa_matrix, common, place, **known)
     with log.stage("group"):
+        heard = sync_tags(detections, receivers) if options.sync == "beacons" else ()
+        beacons = tuple(grouped(tag) for tag in sorted(heard))
         for tag in tags:
             try:
                 if tag not in common.tags:
                     raise InputError(f"tag {tag}: no detection is left on the common clock")
-                toa = toa_matrix(common, place, tag, sound_speed=speed, schedule=options.schedule())
+                toa = grouped(tag, schedule=options.schedule())
                 toa = _with_rows(toa, common, detections, receivers)
                 if sure is not None:
                     toa = toa.replace(sound_speed_sd=sure)
@@ -201,7 +212,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
             toas.append(toa)
     if not toas:
         raise InputError(f"none of {len(tags)} tags can be positioned", mend="name one with --tag")
-    return Source(toas, receivers, detections, sync, skipped)
+    return Source(toas, receivers, detections, sync, skipped, beacons)
 
 
 def _with_rows(
@@ -249,10 +260,22 @@ def sync_tags(detections: Detections, receivers: Receivers) -> set[str]:
     return {t for t in detections.tags if any(t == s or t.endswith(f"-{s}") for s in wanted)}
 
 
+def _roughly(detections: Detections, receivers: Receivers, options: TrackOptions) -> Detections:
+    """Clocks near enough to tell pings apart; sync tags' pings do the rest, ping by ping."""
+    from maloc.sync import rough
+
+    if not sync_tags(detections, receivers):
+        raise InputError(
+            "--sync beacons needs sync tags, and none of the receivers' is in the detections",
+            mend="name them in the table of receivers, column sync_tag",
+        )
+    return rough(detections, receivers, reference=options.reference)
+
+
 def _sync(
     options: TrackOptions, detections: Detections, receivers: Receivers, log: Log
 ) -> ClockSync | None:
-    if options.sync == "none":
+    if options.sync in ("none", "beacons"):
         return None
     if options.sync != "auto":
         from maloc.sync import ClockSync

@@ -25,6 +25,7 @@ __all__ = ["PointsOptions", "run_points"]
 
 PNG = {"dpi": 110, "pil_kwargs": {"compress_level": 1}}
 FAR = "disagrees with the position"
+BY_BEACONS = "consensus", "cluster", "closed-form"
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,10 @@ class PointsOptions:
     method: str = "consensus"
     sigma: float | None = None
     depth: str = "auto"
+    above: float = 0.0
+    region: Path | None = None
+    resolve: bool = False
+    beacon_window: float = 60.0
     how: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -42,13 +47,28 @@ class PointsOptions:
             raise InputError(f"--sigma must be positive, got {self.sigma:g}")
         if self.source.sound_speed == "estimated":
             raise InputError("single pings do not tell the sound speed; give m/s")
+        if self.source.sync == "beacons" and self.method not in BY_BEACONS:
+            raise InputError(f"--sync beacons goes with --method {', '.join(BY_BEACONS)}")
+        if not self.beacon_window > 0:
+            raise InputError(f"--beacon-window must be positive, got {self.beacon_window:g}")
 
     def place(self) -> Any:
         """The depth as `maloc.points.locate` takes it."""
+        from maloc.points.altitude import PLACES, read_terrain
+
+        if self.depth in PLACES:
+            return self.depth
         try:
             return float(self.depth)
         except ValueError:
-            return self.depth
+            pass
+        if not Path(self.depth).exists():
+            raise InputError(
+                f"--depth {self.depth} is none of {', '.join(PLACES)}, a number or a file"
+            )
+        if self.source.sync == "beacons":
+            raise InputError("--sync beacons knows no terrain; give the depth in metres")
+        return read_terrain(self.depth, self.above)
 
     def record(self) -> dict[str, Any]:
         """The options as plain values."""
@@ -74,23 +94,39 @@ def run_points(
         Bad input, or `out` is taken.
     """
     check_free(out, force)
+    place = options.place()
     log = Log(quiet)
     with log.listening():
         source = load(options.source, log)
         log.release()
         with log.stage("engine start"):
-            from maloc.points import locate
-        how = dict(options.how)
+            import maloc.points as engine
+        how: dict[str, Any] = {"depth": place} | options.how
+        if options.sigma is not None:
+            how["sigma"] = options.sigma
+        if options.region is not None:
+            how["region"] = engine.read_region(options.region, source.receivers.crs)
         if options.method in ("pmc", "dm-pmc"):
             how["seed"] = options.source.seed
-        found = []
         with log.stage("locate"):
-            for toa in source.toas:
-                method: Any = options.method
-                found.append(locate(toa, method, sigma=options.sigma, depth=options.place(), **how))
+            found = [_locate(toa, source, options, how) for toa in source.toas]
+            if options.resolve:
+                found = [engine.resolve(p) for p in found]
         with output_folder(out, force) as folder:
             _write(folder, found, source, options, log)
     return [_line(p) for p in found]
+
+
+def _locate(
+    toa: ArrivalTimes, source: Source, options: PointsOptions, how: dict[str, Any]
+) -> Points:
+    from maloc.points import locate, locate_by_beacons
+
+    method: Any = options.method
+    if options.source.sync != "beacons":
+        return locate(toa, method, **how)
+    near = {"window": options.beacon_window, "multiple": True}
+    return locate_by_beacons(toa, source.beacons, method, **near, **how)
 
 
 def _line(points: Points) -> str:
@@ -113,7 +149,7 @@ def _write(
         pairs = list(zip(found, source.toas, strict=True))
         tables = {
             "points": [points_table(p, t, source.receivers) for p, t in pairs],
-            "arrivals": [arrivals_table(p, t) for p, t in pairs],
+            "arrivals": [arrivals_table(p, t, one_clock=not source.beacons) for p, t in pairs],
         }
         for name, parts in tables.items():
             _output.write_table(pl.concat(parts, how="diagonal_relaxed"), folder / f"{name}.csv")
@@ -165,11 +201,11 @@ def points_table(points: Points, toa: ArrivalTimes, receivers: Receivers) -> pl.
     return pl.DataFrame([*columns, table["why"]]).with_columns((cs.float() - precise).round(4))
 
 
-def arrivals_table(points: Points, toa: ArrivalTimes) -> pl.DataFrame:
+def arrivals_table(points: Points, toa: ArrivalTimes, *, one_clock: bool = True) -> pl.DataFrame:
     """Return arrivals.csv of one tag, columns as of `maloc track`; residuals in s.
 
     p_direct is what population Monte Carlo says; other methods leave it empty. `used`: the arrival
-    agrees with the position.
+    agrees with the position. Where clocks are apart there are no residuals.
     """
     import polars as pl
 
@@ -195,7 +231,7 @@ def arrivals_table(points: Points, toa: ArrivalTimes) -> pl.DataFrame:
             np.asarray(toa.receivers.labels, str)[column].tolist() + aside.receiver.tolist(),
             pl.String,
         ),
-        "residual": (late.tolist() + nothing, pl.Float64),
+        "residual": ((late.tolist() if one_clock else [None] * len(row)) + nothing, pl.Float64),
         "p_direct": (
             ([None] * len(row) if direct is None else direct.tolist()) + nothing,
             pl.Float64,

@@ -13,6 +13,7 @@ from maloc._folder import check_free, output_folder
 from maloc._load import TrackOptions, load
 from maloc._log import Log
 from maloc._mirror import Line, mirror_line
+from maloc.errors import InputError
 
 if TYPE_CHECKING:
     import polars as pl
@@ -117,6 +118,8 @@ def run_track(
     FitError
         A fit failed.
     """
+    if options.sync == "beacons":
+        raise InputError("--sync beacons goes with maloc points")
     if options.model == "detections":
         from maloc._run_encounters import run_encounters
 

@@ -444,12 +444,28 @@ def points(
         float | None, typer.Option(help="Standard deviation of arrivals, m; estimated if none.")
     ] = None,
     depth: Annotated[
-        str, typer.Option(metavar="auto|flat|sensor|3d|M", help="The tag's depth, m down.")
+        str,
+        typer.Option(
+            metavar="auto|flat|sensor|3d|M|DEM.tif",
+            help="The tag's depth: as sensed, at the receivers', to be found, m, or on the ground.",
+        ),
     ] = "auto",
+    above: Annotated[
+        float, typer.Option(metavar="M", help="Height above the ground of DEM.tif, m.")
+    ] = 0.0,
+    region: Annotated[
+        Path | None, typer.Option(help="Corners of a polygon that the tag cannot have left.")
+    ] = None,
+    resolve: Annotated[
+        bool, typer.Option("--resolve", help="Of two places, the one that other pings tell.")
+    ] = False,
     sync: Annotated[
         str,
-        typer.Option(metavar="auto|none|SYNC.nc", help="How clocks are brought together."),
+        typer.Option(metavar="auto|none|beacons|SYNC.nc", help="How clocks are brought together."),
     ] = "auto",
+    beacon_window: Annotated[
+        float, typer.Option(metavar="S", help="--sync beacons: sync tags' pings this near in time.")
+    ] = 60.0,
     reference: Annotated[
         str | None, typer.Option(help="Receiver whose clock is the common time.")
     ] = None,
@@ -481,7 +497,8 @@ def points(
         crs=crs,
         seed=seed,
     )
-    lines = run_points(PointsOptions(source, method, sigma, depth), out, force=force, quiet=quiet)
+    asked = PointsOptions(source, method, sigma, depth, above, region, resolve, beacon_window)
+    lines = run_points(asked, out, force=force, quiet=quiet)
     if not quiet:
         typer.echo("\n".join([*lines, f"written to {out}"]))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from maloc.points.ambiguity import Rules, resolve
 from maloc.points.beacons import locate_by_beacons
 from maloc.points.locate import locate
+from maloc.points.region import read_region
 from maloc.points.result import Points
 
-__all__ = ["Points", "Rules", "locate", "locate_by_beacons", "resolve"]
+__all__ = ["Points", "Rules", "locate", "locate_by_beacons", "read_region", "resolve"]

@@ -15,9 +15,9 @@ import numpy as np
 from maloc.data.arrivals import ArrivalTimes
 from maloc.errors import InputError
 
-__all__ = ["Depth", "Terrain", "depths", "read_terrain"]
+__all__ = ["PLACES", "Depth", "Terrain", "depths", "read_terrain"]
 
-_PLACES = "flat", "auto", "sensor", "3d"
+PLACES = "flat", "auto", "sensor", "3d"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -141,8 +141,8 @@ def depths(toa: ArrivalTimes, depth: Any) -> tuple[np.ndarray, int]:
     """
     own = np.asarray(toa.receivers.depth, float)
     shape = toa.toa.shape
-    if isinstance(depth, str) and depth not in _PLACES:
-        raise InputError(f"depth '{depth}' is none of {', '.join(_PLACES)}, a number or Terrain")
+    if isinstance(depth, str) and depth not in PLACES:
+        raise InputError(f"depth '{depth}' is none of {', '.join(PLACES)}, a number or Terrain")
     sensed = np.full(shape[0], np.nan) if toa.depth is None else toa.depth
     if isinstance(depth, str) and depth in ("flat", "auto"):
         below = own[None] - sensed[:, None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,9 @@ from maloc.points._beacons import (
     rank_beacons,
 )
 from maloc.points._methods import accepted, assemble, checked_prior, method_of
-from maloc.points._problem import problem_of
+from maloc.points._problem import Problem, problem_of
 from maloc.points._shared_offsets import refine_shared, share_offsets
-from maloc.points._sigma import diameter
+from maloc.points._sigma import UNKNOWN, diameter, spread_of
 from maloc.points.altitude import depths
 from maloc.points.result import Points
 
@@ -32,7 +33,7 @@ def locate_by_beacons(
     method: Any = "consensus",
     *,
     multiple: bool = False,
-    sigma: float | np.ndarray = 1.5,
+    sigma: float | np.ndarray | None = None,
     depth: Any = "auto",
     most: int = 5,
     window: float = 5.0,
@@ -56,8 +57,9 @@ def locate_by_beacons(
         How each differenced problem is solved; the one with the largest consensus counts.
     multiple : bool
         Use the inliers of all beacon pings, offsets eliminated together, instead of the best one's.
-    sigma : float or array (P, R)
-        Standard deviation of an arrival's error, m; beacons' arrivals have its mean.
+    sigma : float or array (P, R), optional
+        Standard deviation of an arrival's error, m; beacons' arrivals have its mean. Estimated
+        from the pings when not given.
     depth, reach, region, prior
         As of `maloc.points.locate`; no terrain.
     most : int
@@ -84,7 +86,7 @@ def locate_by_beacons(
     """
     run = method_of(method)
     below, d = depths(toa, depth)
-    each = np.broadcast_to(np.asarray(sigma, float), toa.toa.shape)
+    each = np.broadcast_to(np.asarray(UNKNOWN if sigma is None else sigma, float), toa.toa.shape)
     known = _gather(toa, beacons, float(each.mean()))
     best = rank_beacons(toa.toa, known, most=most, window=window, near=near)
     ping, slot = np.nonzero(best >= 0)
@@ -99,6 +101,11 @@ def locate_by_beacons(
             mend="widen window=, or synchronise the clocks (maloc.sync)",
         )
     reach = 2 * diameter(toa) if reach is None else reach
+    if sigma is None:  # a difference has the errors of both
+        one = slot == 0
+        found_sd = spread_of(ranges[one], toa.receivers.xy, below[ping[one]], d, reach) / np.sqrt(2)
+        each, spread = each * found_sd / UNKNOWN, spread * found_sd / UNKNOWN
+        known = replace(known, sigma=known.sigma * found_sd / UNKNOWN)
     limits = {"reach": reach, "region": region, "prior": None}
     if prior is not None:
         limits["prior"] = checked_prior(prior, len(toa))[ping]
@@ -112,17 +119,20 @@ def locate_by_beacons(
     rows, first = np.unique(ping[order], return_index=True)
     pick = order[first]
     mine = found.rows(pick)
-    whole = np.full(toa.toa.shape, np.nan)
-    whole[rows] = ranges[pick]
-    wide = each.copy()
-    wide[rows] = spread[pick]
-    all_rows, columns = problem_of(whole, toa.receivers.xy, below, wide)
-    points = assemble(toa, method, mine, all_rows, columns, rows, d)
+
+    def spread_rows(a: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(toa), *a.shape[1:]), a.dtype)
+        out[rows] = a[pick]
+        return out
+
+    whole = Problem(*(spread_rows(a) for a in problem))
+    points = assemble(toa, method, mine, whole, spread_rows(column), rows, d)
     nothing = (points.why == "") & ~points.located
     points = points.replace(why=np.where(nothing, "no sync tag's ping to compare with", points.why))
     if multiple:
         points = _share(toa, points, known, best, each, receivers, below, options)
-    return points.replace(emission=_emission(toa, points, below))
+    sd = float(each.mean()) if np.ndim(sigma) == 0 else points.sigma
+    return points.replace(emission=_emission(toa, points, below), sigma=sd)
 
 
 def _gather(toa: ArrivalTimes, beacons: Sequence[ArrivalTimes], sigma: float) -> Beacons:

@@ -132,3 +132,16 @@ def test_what_is_wrong_is_said():
         locate_by_beacons(tag, [sync[0].replace(tag="A-7")])
     with pytest.raises(InputError, match="within 0.5 s"):
         locate_by_beacons(tag, sync, window=0.5)
+
+
+def test_sigma_is_estimated_and_pings_of_few_receivers_do_no_harm():
+    """The pair chosen may have fewer receivers than another pair of its ping."""
+    rng = np.random.default_rng(7)
+    tag, sync, xy = study(rng, n=120, m=9, noise=0.8, wild=0.1)
+    heard = np.array(rng.random((120, 9)) < 0.8)
+    tag = tag.replace(toa=np.where(heard, tag.toa, np.nan))
+    some = np.arange(9) < 8
+    points = locate_by_beacons(tag, [s.replace(toa=np.where(some, s.toa, np.nan)) for s in sync])
+    assert points.sigma == pytest.approx(0.8, rel=0.15)
+    settled = points.located & ~points.ambiguous
+    assert np.median(error(points, xy)[settled]) < 2
