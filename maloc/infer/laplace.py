@@ -13,6 +13,7 @@ from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
+from maloc.infer._stretches import straighten
 from maloc.infer.initial import initial_values, repair, stable_interval
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import _factor, find_mode
@@ -88,7 +89,7 @@ def _same(x):
 
 
 def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> MarginalFit:
-    """Start, fit, and fit again as long as single pings find a better explanation."""
+    """Start, fit, and fit again as long as pings or stretches find a better explanation."""
     with stages.time("initial"):
         x, u = _best(cm, args, _starts(cm, args, path, positions))
         if not np.isfinite(_value(cm, x, u, args)):
@@ -97,7 +98,7 @@ def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> Margin
         fit = maximise_marginal(cm, args, x, u)
     for _ in range(3):
         with stages.time("initial"):
-            x = repair(cm, args, fit.x, fit.u)
+            x = repair(cm, args, straighten(cm, args, fit.x, fit.u), fit.u)
         if _value(cm, x, fit.u, args) > _value(cm, fit.x, fit.u, args) - 0.1:
             break
         with stages.time("parameters"):
