@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from maloc.infer.criticism import InputCheck, InputChecks, check_inputs
 from maloc.infer.laplace import laplace
 from maloc.infer.nuts import nuts
 from maloc.infer.result import Fit, LaplaceFit, SampledFit
 from maloc.infer.svi import SviFit, svi
 
-__all__ = ["Fit", "LaplaceFit", "SampledFit", "SviFit", "laplace", "nuts", "svi"]
+__all__ = [
+    "Fit",
+    "InputCheck",
+    "InputChecks",
+    "LaplaceFit",
+    "SampledFit",
+    "SviFit",
+    "check_inputs",
+    "laplace",
+    "nuts",
+    "svi",
+]
