@@ -16,7 +16,7 @@ from maloc.errors import FitError, InputError
 if TYPE_CHECKING:
     from maloc._canal import Settings
     from maloc._canal_cases import Case
-    from maloc.data.arrivals import ArrivalTimes
+    from maloc.data.arrivals import ArrivalTimes, Schedule
     from maloc.infer.result import Fit
     from maloc.points.result import Points
 
@@ -92,24 +92,43 @@ def _given(toa, values):
 
 
 def _joint(case: Case, settings: Settings) -> Located:
-    """`maloc.models.joint` by Laplace: silence counts."""
+    """`maloc.models.joint` by Laplace: silence counts, of the pings that nobody heard too."""
     import maloc
 
-    model = getattr(maloc.models, "joint", None)
-    if model is None:
-        raise InputError("this version has no joint model", mend="leave method joint out")
-    return _of_fit(maloc.infer.laplace(model, case.toa), case, settings)
+    rows = np.flatnonzero(case.toa.n_heard > 0)
+    rows = np.arange(rows[0], rows[-1] + 1)  # before and after, nothing is known of the tag
+    history = maloc.arrival_history(_rows_of(case.toa, rows, case.toa.schedule), known=True)
+    fit = maloc.infer.laplace(maloc.models.joint, history)
+    mean, covariance = fit.moments()
+    ping = np.asarray(fit.args[0].ping)[: fit.n_states]
+    if ping.sum() != len(rows):
+        raise FitError(f"{int(ping.sum())} positions for {len(rows)} pings")
+    position, sd = (np.full((len(case.toa), 2), np.nan) for _ in range(2))
+    position[rows] = mean[ping, :2]
+    sd[rows] = np.sqrt(np.einsum("tii->ti", covariance))[ping, :2]
+    low, high = position - _Z95 * sd, position + _Z95 * sd
+    return Located(position, sd, low, high, tuple(fit.warnings), _cpu(fit))
+
+
+def _rows_of(toa: ArrivalTimes, rows: np.ndarray, schedule: Schedule) -> ArrivalTimes:
+    from maloc.data.arrivals import ArrivalTimes
+
+    return ArrivalTimes(toa.toa[rows], toa.receivers, toa.sound_speed[rows], schedule=schedule)
+
+
+def _cpu(fit: Fit) -> float:
+    return float(sum(stage["cpu"] for stage in fit.seconds.values()))
 
 
 def _of_fit(fit: Fit, case: Case, settings: Settings, between: bool = True) -> Located:
     """Posterior moments of the heard pings; of the others, where asked, by the track's bridge."""
+    from maloc.data.arrivals import Schedule
     from maloc.infer.track import track_table
 
     heard = case.toa.n_heard > 0
-    cpu = float(sum(stage["cpu"] for stage in fit.seconds.values()))
     toa, rows = case.toa, np.ones(len(heard), bool)
     if not between:
-        toa, rows = _heard_alone(toa), heard
+        toa, rows = _rows_of(toa, np.flatnonzero(heard), Schedule("unknown")), heard
     table = track_table(fit, toa, seed=settings.seed)
     if len(table) != rows.sum():  # pings that only the schedule calls for have no truth
         table, rows = table.filter(table["heard"]), heard
@@ -119,17 +138,7 @@ def _of_fit(fit: Fit, case: Case, settings: Settings, between: bool = True) -> L
     names = (("x", "y"), ("sd_x", "sd_y"), ("x_lo", "y_lo"), ("x_hi", "y_hi"))
     for part, columns in zip(parts, names, strict=True):
         part[rows] = table.select(columns).to_numpy()
-    return Located(*parts, warnings=tuple(fit.warnings), cpu=cpu)
-
-
-def _heard_alone(toa: ArrivalTimes) -> ArrivalTimes:
-    """The heard pings, nothing known of any between them."""
-    from maloc.data.arrivals import ArrivalTimes, Schedule
-
-    heard = toa.n_heard > 0
-    return ArrivalTimes(
-        toa.toa[heard], toa.receivers, toa.sound_speed[heard], schedule=Schedule("unknown")
-    )
+    return Located(*parts, warnings=tuple(fit.warnings), cpu=_cpu(fit))
 
 
 def _pmc(case: Case, settings: Settings) -> Located:
@@ -175,14 +184,10 @@ METHODS: dict[str, Callable[[Case, Settings], Located]] = {
 
 def check_methods(names: tuple[str, ...]) -> None:
     """Raise InputError where a method is unknown or cannot run here."""
-    import maloc
-
     if not names:
         raise InputError("no method was asked for", mend=f"one of {', '.join(METHODS)}")
     if strange := [n for n in names if n not in METHODS]:
         raise InputError(f"method '{strange[0]}' is none of {', '.join(METHODS)}")
-    if "joint" in names and not hasattr(maloc.models, "joint"):
-        raise InputError("this version has no joint model", mend="leave method joint out")
 
 
 def timed(method: str, case: Case, settings: Settings) -> Located:

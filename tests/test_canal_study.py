@@ -399,3 +399,18 @@ def test_the_command_in_small(tmp_path, capsys):
     assert len(list((tmp_path / "study").glob("*.parquet"))) == 2
     assert ask(*asked) == 0
     assert capsys.readouterr().out == said
+
+
+@pytest.mark.slow
+def test_silence_tells_where_nobody_heard():
+    """Detection by distance: the joint model places pings that arrival times alone cannot."""
+    design = CanalDesign(n_pings=40, p0=0.9, scale=30.0)
+    settings = dataclasses.replace(SMALL, design=design)
+    case = _canal.case_of(settings, own_cases(1, (0.0,), (0.06,))[0])
+    found = METHODS["joint"](case, settings)
+    error = np.linalg.norm(found.position - case.truth, axis=1)
+    rows = np.flatnonzero(case.toa.n_heard > 0)
+    inside = np.arange(rows[0], rows[-1] + 1)
+    assert np.array_equal(np.flatnonzero(np.isfinite(error)), inside)
+    assert (case.toa.n_heard[inside] == 0).any()
+    assert np.median(error[rows]) < 8 and (error[inside] < 5 * np.hypot(*found.sd[inside].T)).all()
