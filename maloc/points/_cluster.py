@@ -18,7 +18,7 @@ from maloc._jax import jax, jnp
 from maloc.points._choose import choose
 from maloc.points._hypotheses import allowed, hypotheses
 from maloc.points._problem import Found, Problem, in_batches
-from maloc.points._robust import refine
+from maloc.points._robust import EARLY, refine
 
 __all__ = ["cluster", "dbscan"]
 
@@ -117,7 +117,7 @@ def cluster(
     eps: float = 50.0,
     least: int = 3,
     delta: float = 3.0,
-    early: float = 10.0,
+    early: float = EARLY,
     reach: float = np.inf,
     region: np.ndarray | None = None,
     prior: np.ndarray | None = None,

@@ -18,16 +18,18 @@ from maloc.points._hypotheses import allowed, hypotheses
 from maloc.points._lm import distances, fit
 from maloc.points._problem import Found, Problem, in_batches
 
-__all__ = ["consensus", "hypotheses", "rank", "refine", "truncated_cost"]
+__all__ = ["EARLY", "consensus", "hypotheses", "rank", "refine", "truncated_cost"]
+
+EARLY = 1000.0
+_PLACES = 4  # of the best hypotheses that are refined
 
 
 def truncated_cost(z: Any, heard: Any, delta: Any, early: Any) -> Any:
     """Sum over arrivals (axis 0) of squared weighted residuals, no more than delta^2 each.
 
-    Early arrivals beyond `delta` cost 2 log `early` more: no detour is shorter than the direct
-    path.
+    Of early ones no more than delta^2 + 2 log `early`: no detour is shorter than the direct path.
     """
-    cost = jnp.minimum(z**2, delta**2) + jnp.where(z < -delta, 2 * jnp.log(early), 0.0)
+    cost = jnp.minimum(z**2, delta**2 + jnp.where(z < 0, 2 * jnp.log(early), 0.0))
     return jnp.sum(jnp.where(heard, cost, 0.0), axis=0)
 
 
@@ -126,18 +128,24 @@ def _consensus(
     def away(place: Any) -> Any:
         return ~(sum((position[i] - place[i]) ** 2 for i in range(d)) <= apart**2)
 
-    def place(taken: tuple, _: Any) -> tuple:
+    def place(free: Any, _: Any) -> tuple:
         """The best hypothesis that is another place than those taken, refined."""
-        free = usable & away(taken[0]) & away(taken[1])
         best = rank(z, ping.heard, to_prior, free, delta, early)
         start = position[:, best]
         found = refine(ping, start, emission[best], delta, early, rounds)
-        return (start, found[0]), (*found, jnp.any(free))
+        return free & away(start) & away(found[0]), (*found, jnp.any(free))
 
-    nowhere = jnp.full(d, jnp.nan)
-    _, (places, emissions, used, cost, some) = jax.lax.scan(
-        place, (nowhere, nowhere), None, length=2
-    )
+    _, (places, emissions, used, cost, some) = jax.lax.scan(place, usable, None, length=_PLACES)
+    # how many arrivals agree before least squares says less than how well they do after it
+    outside = ~allowed(ping, places.T, reach, region)
+    score = jnp.where(some, cost + 1e6 * outside, jnp.inf)
+    one = jnp.argmin(score)
+    near = sum((places[:, i] - places[one, i]) ** 2 for i in range(d)) <= apart**2
+    rest = jnp.where(near, jnp.inf, score)
+    two = jnp.argmin(rest)
+    pick = jnp.stack([one, two])
+    some = jnp.stack([some[one], jnp.isfinite(rest[two])])
+    places, emissions, used, cost = (a[pick] for a in (places, emissions, used, cost))
     return {"position": places, "emission": emissions, "cost": cost, "any": some}, {
         "used": jnp.moveaxis(used, 0, 1)
     }
@@ -148,7 +156,7 @@ def consensus(
     d: int,
     *,
     delta: float = 3.0,
-    early: float = 10.0,
+    early: float = EARLY,
     reach: float = np.inf,
     region: np.ndarray | None = None,
     prior: np.ndarray | None = None,
@@ -168,8 +176,8 @@ def consensus(
     delta : float
         An arrival whose residual is beyond `delta` standard deviations is an outlier.
     early : float
-        How many times rarer an outlier is that comes too early than one too late (1: as frequent,
-        as with clocks that jump).
+        How many times rarer an outlier is that comes too early than one too late: as in the track
+        models a tenth of arrivals beside one in 10,000 (1: as frequent, as with clocks that jump).
     reach : float
         Largest distance (m) from the nearest receiver that heard the ping.
     region : array (V, 2), optional
