@@ -44,6 +44,7 @@ class TrackOptions:
     error: str = "ddetect"
     interval: tuple[float, float] | None = None
     interval_stable: tuple[float, float] | None = None
+    schedule_file: Path | None = None
     sound_speed: str | None = None
     method: str = "laplace"
     ignore_columns: tuple[str, ...] = ()
@@ -58,8 +59,11 @@ class TrackOptions:
                 "no input" if self.toa is None else "both files of detections and --toa were given",
                 mend="give either files of detections or --toa TOA",
             )
-        if self.interval and self.interval_stable:
-            raise InputError("--interval and --interval-stable exclude one another")
+        given = [self.interval, self.interval_stable, self.schedule_file]
+        if sum(g is not None for g in given) > 1:
+            raise InputError("--interval, --interval-stable and --schedule exclude one another")
+        if self.schedule_file is not None and self.model != "joint":
+            raise InputError("--schedule goes with --model joint only")
         if self.draws < 1:
             raise InputError(f"--draws must be at least 1, got {self.draws}")
         if self.chains < 2:
@@ -68,8 +72,8 @@ class TrackOptions:
             raise InputError("--toa is on one clock already", mend="leave --sync out")
         if self.model == "detections" and self.sound_speed is not None:
             raise InputError("--sound-speed says nothing to --model detections; leave it out")
-        if self.method == "svi" and self.model != "detections":
-            raise InputError("--method svi goes with --model detections only")
+        if self.method == "svi" and self.model == "toa":
+            raise InputError("--method svi goes with --model detections or joint")
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
         self.schedule()
@@ -83,6 +87,11 @@ class TrackOptions:
             return Schedule("random", *self.interval)
         if self.interval_stable:
             return Schedule("stable", *self.interval_stable)
+        if self.schedule_file is not None:
+            from maloc._run_joint import read_sequence
+
+            sequence = read_sequence(self.schedule_file)
+            return Schedule("random", float(sequence.min()), float(sequence.max()))
         return Schedule()
 
     def speed(self) -> float:

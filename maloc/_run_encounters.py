@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from maloc.data import EncounterHistory
     from maloc.infer.encounter_check import Expected
 
-__all__ = ["FittedTags", "fit_tags", "run_encounters"]
+__all__ = ["FittedTags", "fit_tags", "lines", "run_encounters", "run_model", "tables"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class FittedTags:
     missed: pl.DataFrame | None
     expected: Expected
     line: Line | None = None
+    late: tuple[np.ndarray, np.ndarray] | None = None  # residual (s) and p_direct, (P, R)
 
 
 def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> FittedTags:
@@ -44,19 +45,12 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         If the fit fails.
     """
     with log.stage("engine start"):  # JAX is imported here, and nowhere before
-        from maloc import infer, models
-        from maloc.infer import encounter_check, encounter_track
+        from maloc import models
 
     if history.known:
         model = models.known_interval
     else:
         model = models.unknown_interval if history.summed else models.detection_only
-    line = mirror_line(history.receivers, np.asarray(history.heard.any(axis=0)))
-    if line is not None:
-        log.warn(
-            "the receivers that heard anything stand on one line: every position has a mirror "
-            "image that fits as well (mirror_x, mirror_y in track.csv)"
-        )
     how: dict[str, Any] = {
         "movement": options.movement,
         "detection": options.detection,
@@ -64,6 +58,13 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         "dispersion": options.dispersion,
         "receiver_effects": options.receiver_effects,
     }
+    return tables(run_model(model, history, how, options, log), history, options, log)
+
+
+def run_model(model: Any, history: Any, how: dict[str, Any], options: TrackOptions, log: Log):
+    """Fit a model by the method asked for."""
+    from maloc import infer
+
     with log.stage("fit"):
         if options.method == "laplace":
             fit = infer.laplace(model, history, draws=options.draws, seed=options.seed, **how)
@@ -81,6 +82,19 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         log.seconds.add(f"fit: {name}", spent["wall"], spent["cpu"])
     for text in fit.warnings:
         log.warn(text)
+    return fit
+
+
+def tables(fit: Any, history: EncounterHistory, options: TrackOptions, log: Log) -> FittedTags:
+    """Tables of a fit, and what there is to be warned of."""
+    from maloc.infer import encounter_check, encounter_track
+
+    line = mirror_line(history.receivers, np.asarray(history.heard.any(axis=0)))
+    if line is not None:
+        log.warn(
+            "the receivers that heard anything stand on one line: every position has a mirror "
+            "image that fits as well (mirror_x, mirror_y in track.csv)"
+        )
     with log.stage("tables"):
         counted = encounter_track.count_missed(fit, history, options.seed)
         table = encounter_track.track_table(fit, history, counted)

@@ -31,7 +31,7 @@ def write_encounters(
     with log.stage("tables"):
         table = _output.finish_track(fitted.table, source.receivers, fitted.line)
         _output.write_table(table, folder / "track.csv")
-        arrivals = encounters_table(history, source.detections)
+        arrivals = encounters_table(history, source.detections, fitted.late)
         _output.write_table(arrivals, folder / "arrivals.csv")
         _output.write_table(_output.parameters_table(fitted.fit, ""), folder / "parameters.csv")
         if fitted.missed is not None:
@@ -59,15 +59,17 @@ def _named(history: EncounterHistory) -> str:
 
 
 def encounters_table(
-    history: EncounterHistory, detections: Detections | None = None
+    history: EncounterHistory,
+    detections: Detections | None = None,
+    late: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> pl.DataFrame:
     """Return one row a detection, those used by tag and ping, then those set aside.
 
     Returns
     -------
     DataFrame
-        Columns `maloc._output.ARRIVALS`; residual and p_direct are empty: times of arrival are
-        not modelled. `ping` counts the rows of a tag's pings from 1.
+        Columns `maloc._output.ARRIVALS`; residual and p_direct, two (P, R) arrays, are empty where
+        times of arrival are not modelled. `ping` counts the rows of a tag's pings from 1.
     """
     import polars as pl
 
@@ -80,13 +82,18 @@ def encounters_table(
     number = row - history.first_rows[history.tag[row]] + 1
     detection = [None] * len(row) if known is None else known[row, column].tolist()
     used = len(row)
+    residual, direct = ([None] * used,) * 2
+    why = [""] * used
+    if late is not None:
+        residual, direct = (np.asarray(x, float)[row, column].tolist() for x in late)
+        why = [_output.LATE if p < 0.5 else "" for p in direct]
     columns: dict[str, list] = {
         "ping": number.tolist() + nothing,
         "receiver": names[column].tolist() + aside.receiver.tolist(),
-        "residual": [None] * (used + len(aside)),
-        "p_direct": [None] * (used + len(aside)),
+        "residual": residual + nothing,
+        "p_direct": direct + nothing,
         "used": [True] * used + [False] * len(aside),
-        "why": [""] * used + aside.why.tolist(),
+        "why": why + aside.why.tolist(),
         "tag": [history.tags[i] for i in history.tag[row]] + whose,
         "t": (start + np.concatenate([history.time[row], aside.time])).tolist(),
         "detection": detection + aside.detection.tolist(),

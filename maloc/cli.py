@@ -207,8 +207,8 @@ def track(
         str | None, typer.Option(help="Receiver whose clock is the common time.")
     ] = None,
     model: Annotated[
-        Literal["toa", "detections"],
-        typer.Option(help="Arrival times, or only which receivers heard each ping."),
+        Literal["toa", "detections", "joint"],
+        typer.Option(help="Arrival times, which receivers heard each ping, or both at once."),
     ] = "toa",
     movement: Annotated[
         Literal["ctcrw", "rw"], typer.Option(help="Correlated or plain random walk.")
@@ -218,21 +218,19 @@ def track(
     ] = "ddetect",
     detection: Annotated[
         Literal["halfnormal", "logistic", "hazard"],
-        typer.Option(help="Detection by distance (--model detections)."),
+        typer.Option(help="Detection by distance (not --model toa)."),
     ] = "halfnormal",
     loss: Annotated[
         bool,
-        typer.Option(help="Pings may be lost to all receivers at once (--model detections)."),
+        typer.Option(help="Pings may be lost to all receivers at once (not --model toa)."),
     ] = True,
     dispersion: Annotated[
         bool,
-        typer.Option(
-            "--dispersion", help="Some pings are heard badly by all (--model detections)."
-        ),
+        typer.Option("--dispersion", help="Some pings are heard badly by all (not --model toa)."),
     ] = False,
     receiver_effects: Annotated[
         bool,
-        typer.Option("--receiver-effects", help="Some receivers hear badly (--model detections)."),
+        typer.Option("--receiver-effects", help="Some receivers hear badly (not --model toa)."),
     ] = False,
     interval: Annotated[
         tuple[float, float] | None,
@@ -242,12 +240,16 @@ def track(
         tuple[float, float] | None,
         typer.Option(metavar="MEAN SD", help="Stable burst interval, s."),
     ] = None,
+    schedule: Annotated[
+        Path | None,
+        typer.Option(help="File of the tag's sequence of burst intervals, s (--model joint)."),
+    ] = None,
     sound_speed: Annotated[
         str | None, typer.Option(metavar="C|estimated", help="Sound speed, m/s.")
     ] = None,
     method: Annotated[
         Literal["laplace", "nuts", "hmc", "svi"],
-        typer.Option(help="How the posterior is found (svi: --model detections)."),
+        typer.Option(help="How the posterior is found (svi: not --model toa)."),
     ] = "laplace",
     ignore_columns: Annotated[
         str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
@@ -262,8 +264,8 @@ def track(
     """Estimate tracks: positions of every ping with their uncertainty.
 
     Writes track.csv, arrivals.csv, parameters.csv, posterior.nc, map.png, diagnostics.png,
-    summary.json; with --model detections, which needs neither synchronised clocks nor fractions of
-    a second, missed.csv too.
+    summary.json; where missed pings are summed out (--model detections or joint, with an interval),
+    missed.csv too. --model detections needs neither synchronised clocks nor fractions of a second.
     """
     from maloc._load import TrackOptions
     from maloc._run import run_track
@@ -284,6 +286,7 @@ def track(
         error=error,
         interval=interval,
         interval_stable=interval_stable,
+        schedule_file=schedule,
         sound_speed=sound_speed,
         method=method,
         ignore_columns=tuple(c.strip() for c in ignore_columns.split(",") if c.strip()),

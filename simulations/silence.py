@@ -144,17 +144,19 @@ def methods(design: Design) -> dict[str, dict[str, Any]]:
 
 
 def fit(name: str, toa: ArrivalTimes, options: dict, sampler: str, seed: int):
-    """Positions (P, 2) and sds at all rows, and the fit. Between heard pings: a straight line."""
-    only = heard_rows(toa)
-    history = arrival_history(only) if name == "heard" else arrival_history(toa, known=True)
+    """Positions (P, 2), limits of their central 95 % (2, P, 2), and the fit, at its own rows."""
+    history = arrival_history(heard_rows(toa)) if name == "heard" else (
+        arrival_history(toa, known=True)
+    )  # fmt: skip
     if sampler == "laplace":
         got = infer.laplace(joint, history, **options)
-    else:
-        key = jax.random.key(seed)
-        got = infer.nuts(key, joint, history, method=sampler, progress=False, **options)
-    mean, cov = got.moments()
-    sd = np.sqrt(np.einsum("tii->ti", cov))
-    return mean[:, :2], sd[:, :2], got
+        mean, cov = got.moments()
+        half = Z95 * np.sqrt(np.einsum("tii->ti", cov))[:, :2]
+        return mean[:, :2], np.stack([mean[:, :2] - half, mean[:, :2] + half]), got
+    key = jax.random.key(seed)
+    got = infer.nuts(key, joint, history, method=sampler, draws=500, progress=False, **options)
+    draws = got.draws()["position"].reshape(-1, got.n_states, 2)
+    return draws.mean(axis=0), np.quantile(draws, [0.025, 0.975], axis=0), got
 
 
 def truth_gap(got, path: np.ndarray, truth: dict) -> float:
@@ -184,13 +186,13 @@ def study(design: Design, tracks: int, seed: int, sampler: str, log=sys.stderr) 
         heard = toa.n_heard > 0
         for name, options in methods(design).items():
             spent = time.process_time()
-            xy, sd, got = fit(name, toa, options, sampler, track)
+            xy, limits, got = fit(name, toa, options, sampler, track)
             spent = time.process_time() - spent
             where = heard if name == "heard" else np.ones(len(toa), bool)
             error = np.full(len(toa), np.nan)
             inside = np.full((len(toa), 2), np.nan)
             error[where] = np.linalg.norm(xy - path[where], axis=1)
-            inside[where] = np.abs(xy - path[where]) < Z95 * sd
+            inside[where] = (path[where] > limits[0]) & (path[where] < limits[1])
             row = {
                 "track": track, "method": name, "heard": error[heard].mean(),
                 "all": error.mean() if name != "heard" else np.nan,

@@ -25,6 +25,7 @@ def grid_paths(
     speed: float,
     draws: int,
     rng: np.random.Generator,
+    emission: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Paths of all states: the posterior mean on the grid, and draws from it.
 
@@ -40,6 +41,10 @@ def grid_paths(
         m/s in each axis, from ping to ping.
     draws : int
         Paths drawn besides the mean.
+    rng : numpy.random.Generator
+    emission : pair of (S,) arrays, optional
+        Ranges of emission that a beat foretells, m, and their sds; by default whichever suits the
+        arrivals best.
 
     Returns
     -------
@@ -52,7 +57,7 @@ def grid_paths(
     axes = [np.arange(a + cell / 2, b, cell) for a, b in zip(low, high, strict=True)]
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     away = np.sqrt(((cells[:, None] - xy) ** 2).sum(-1) + 0.25)
-    score = _arrival_scores(data, away, np.hypot(sigma, 0.3 * cell))
+    score = _arrival_scores(data, away, np.hypot(sigma, 0.3 * cell), emission)
     if log_miss is not None:
         heard = np.asarray(data.heard)
         listening = _listening(data) & present
@@ -77,20 +82,27 @@ def _listening(data: JointData) -> np.ndarray:
     return out
 
 
-def _arrival_scores(data: JointData, away: np.ndarray, sigma: float) -> np.ndarray:
-    """Log likelihood of each ping's arrivals at each cell, at its best emission time, (S, G)."""
+def _arrival_scores(data: JointData, away: np.ndarray, sigma: float, emission) -> np.ndarray:
+    """Log likelihood of each ping's arrivals at each cell, (S, G); see `grid_paths`."""
     heard, ranges = np.asarray(data.heard), np.asarray(data.range)
     phi = float(data.phi)
-    floor = np.log(_LATE * sigma * np.sqrt(2 * np.pi) / phi)
     out = np.zeros((len(heard), len(away)))
-    for t in np.flatnonzero(heard.sum(axis=1) > 1):
+    for t in np.flatnonzero(heard.any(axis=1)):
         columns = np.flatnonzero(heard[t])
-        emission = ranges[t, columns] - away[:, columns]  # (G, m): were that arrival direct
-        off = emission[:, None] - emission[:, :, None]  # lateness of each, by each
-        direct = -0.5 * (off / sigma) ** 2
-        late = np.where(off > -2 * sigma, floor, 3 * floor)
-        out[t] = np.maximum(direct, late).sum(axis=2).max(axis=1)
+        left = ranges[t, columns] - away[:, columns]  # (G, m): emission, were that arrival direct
+        if emission is not None:
+            wide = np.hypot(sigma, emission[1][t])
+            out[t] = _fit(left - emission[0][t], wide, phi).sum(axis=1)
+        elif len(columns) > 1:
+            off = left[:, None] - left[:, :, None]  # lateness of each, by each
+            out[t] = _fit(off, sigma, phi).sum(axis=2).max(axis=1)
     return out
+
+
+def _fit(late: np.ndarray, sigma: float, phi: float) -> np.ndarray:
+    """Log density, up to a constant, of an arrival so late (m): direct, or perhaps reflected."""
+    floor = np.log(_LATE * sigma * np.sqrt(2 * np.pi) / phi)
+    return np.maximum(-0.5 * (late / sigma) ** 2, np.where(late > -2 * sigma, floor, 3 * floor))
 
 
 def _smooth(score, step, axes, cells, draws: int, rng) -> np.ndarray:

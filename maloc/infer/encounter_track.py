@@ -224,7 +224,17 @@ def _known(fit: Fit, history: EncounterHistory) -> dict[str, np.ndarray]:
     else:
         flat = fit.draws()["position"].reshape(-1, fit.n_states, 2)[:, states]
         low, high = np.quantile(flat, [0.025, 0.975], axis=0)
-    return _columns(history.tag, history.time, position, covariance, low, high, history.n_heard)
+    time = _sent(fit, history, states)
+    return _columns(history.tag, time, position, covariance, low, high, history.n_heard)
+
+
+def _sent(fit: Fit, history: EncounterHistory, states: np.ndarray) -> np.ndarray:
+    """Emission times (P,), s: as the fit has them, where arrivals or a beat tell; else as given."""
+    draws = fit.draws()
+    if "emission_time" not in draws:
+        return history.time
+    told = (history.n_heard > 0) | (fit.args[0].schedule in ("stable", "sequence"))
+    return np.where(told, draws["emission_time"].mean(axis=(0, 1))[states], history.time)
 
 
 def _placed(

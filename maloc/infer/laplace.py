@@ -17,6 +17,7 @@ from maloc.infer._stretches import straighten
 from maloc.infer.initial import initial_values, repair, stable_interval
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import _factor, find_mode
+from maloc.infer.point_start import checked_positions
 from maloc.infer.result import LaplaceFit
 from maloc.infer.starts import joint_starts
 
@@ -27,7 +28,7 @@ def laplace(
     model: Callable,
     *args,
     path: tuple[str, ...] | None = None,
-    positions: np.ndarray | None = None,
+    positions: np.ndarray | str | None = None,
     draws: int = 1000,
     seed: int = 0,
     **options,
@@ -44,8 +45,9 @@ def laplace(
         The model's arguments: arrays, pytrees of arrays, or data containers such as `ArrivalTimes`.
     path : tuple of str, optional
         Names of the path sites.
-    positions : (T, 2) array, optional
-        Point positions (m) of the heard pings to start from.
+    positions : (T, 2) array or "pmc", optional
+        Point positions (m) of the heard pings to start from in place of the middle of the array.
+        "pmc": found ping by ping by population Monte Carlo; the better of both starts is taken.
     draws, seed : int
         Posterior draws that the fit's outputs are made of, and their seed.
     **options
@@ -91,7 +93,11 @@ def _same(x):
 def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> MarginalFit:
     """Start, fit, and fit again as long as pings or stretches find a better explanation."""
     with stages.time("initial"):
-        x, u = _best(cm, args, _starts(cm, args, path, positions))
+        found = checked_positions(args, positions)
+        starts = _starts(cm, args, path, found)
+        if isinstance(positions, str) and found is not None:
+            starts += _starts(cm, args, path, None)
+        x, u = _best(cm, args, starts)
         if not np.isfinite(_value(cm, x, u, args)):
             raise FitError("the joint density is not finite at the initial values")
     with stages.time("parameters"):

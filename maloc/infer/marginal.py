@@ -19,6 +19,9 @@ from maloc.infer.mode import Mode, _factor, find_mode
 __all__ = ["MarginalFit", "maximise_marginal"]
 
 
+_STEEP = 100.0  # log units a squared standard deviation, where the path's mode is lost
+
+
 class MarginalFit(NamedTuple):
     """Maximum of the marginal likelihood.
 
@@ -148,7 +151,12 @@ def maximise_marginal(
     marginal.scale = scale
 
     def function(y):
-        point = marginal(y * scale)
+        try:
+            point = marginal(y * scale)
+        except np.linalg.LinAlgError:  # a trial step into parameters that no path survives
+            assert marginal.best is not None and marginal.best_u is not None
+            back = y - marginal.best_u / scale
+            return marginal.best.value + _STEEP * float(back @ back), 2 * _STEEP * back
         return point.value, point.gradient * scale
 
     bounds = [((v - 8) / s, (v + 8) / s) for v, s in zip(u, scale, strict=True)]

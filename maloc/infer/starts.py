@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from maloc.data.joint_data import JointData
+from maloc.infer._beat import smooth_beat
 from maloc.infer._grid import grid_paths
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer.initial import initial_values, put_positions, repair
@@ -24,7 +25,7 @@ _TIGHTER = (300.0, 100.0, 30.0, 10.0)  # ms: a stiff schedule is tightened in th
 
 
 def joint_starts(
-    cm: ChainModel, args: tuple, path, positions=None, draws: int = 2
+    cm: ChainModel, args: tuple, path, positions=None, draws: int = 1
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Paths (S, d) and parameters (k,) to start a fit of the joint model from.
 
@@ -33,24 +34,70 @@ def joint_starts(
     The fit of arrival times alone; then paths on a grid, by arrival times and silence.
     """
     data: JointData = args[0]
-    bare = {"detection": None, "schedule": cm.options.get("schedule", True)}
-    bare["schedule"] = bare["schedule"] and data.schedule not in _STIFF
+    tied = cm.options.get("schedule", True)
+    stiff = tied and data.schedule in _STIFF
+    bare = {"detection": None, "schedule": tied and not stiff}
     alone = chain_model(cm.model, cm.options | bare, args, path)
     fit = maximise_marginal(alone, args, *initial_values(alone, args, positions))
     fit = fit._replace(x=repair(alone, args, fit.x, fit.u))
     x, u = _carry(alone, fit, cm, args)
     u = _detection(cm, args, x, u)
     yield _tightened(cm, args, x, u)
+    rng = np.random.default_rng(0)
+    if not stiff:
+        if _sparse(data):
+            yield from _on_grid(cm, args, x, u, None, draws, rng)
+        return
+    yield from _on_grid(cm, args, x, u, _beat(alone, fit, data), draws, rng)
+    if "p0" in cm.values(x, u):  # and from silence, as long as no beat is heard
+        quiet = chain_model(cm.model, cm.options | {"schedule": False}, args, path)
+        x, u = _carry(alone, fit, quiet, args)
+        fit = maximise_marginal(quiet, args, x, _detection(quiet, args, x, u))
+        x, u = _carry(quiet, fit, cm, args)
+        yield _tightened(cm, args, x, u)
+        yield from _on_grid(cm, args, x, u, _beat(quiet, fit, data), draws, rng)
+
+
+def _on_grid(cm: ChainModel, args: tuple, x, u, beat, draws: int, rng):
+    """Starts from paths on a grid, with parameters and all else as they are in (x, u)."""
+    data: JointData = args[0]
     values = cm.values(x, u)
-    miss, hit = _curves(values) if "p0" in values else (None, None)
+    how = _curves(values) if "p0" in values else (None, None)
     speed = float(values["sigma_vel"]) if "sigma_vel" in values else 0.3
     sigma = float(values["sigma"])
-    for way in grid_paths(data, miss, hit, sigma, speed, draws, np.random.default_rng(0)):
+    for way in grid_paths(data, *how, sigma, speed, draws, rng, beat):
         start = x.copy()
         put_positions(cm, start, way)
-        _put_emission(cm, data, start, way, sigma)
-        start = anneal(cm, args, start, _loose(cm, u), (12.0, 6.0, 3.0))
-        yield _tightened(cm, args, start, u)
+        if beat is None:
+            _put_emission(cm, data, start, way, sigma)
+        else:
+            start[:, _column(cm)] = beat[0]
+        start = anneal(cm, args, start, _loose(cm, u, _TIGHTER[-1]), (12.0, 6.0, 3.0))
+        yield _tightened(cm, args, start, u, _TIGHTER[-1:])
+
+
+def _sparse(data: JointData) -> bool:
+    """Whether many pings leave a choice of places: more than a tenth heard by fewer than three."""
+    heard = np.asarray(data.heard).sum(axis=1)[np.asarray(data.ping)]
+    return bool((heard < 3).mean() > 0.1)
+
+
+def _column(cm: ChainModel) -> int:
+    return next(s.columns.start for s in cm.chain if s.name == "emission")
+
+
+def _beat(alone: ChainModel, fit: MarginalFit, data: JointData):
+    """Emission (S,) m, and its sd, as the beat foretells it from a fit that knows no beat."""
+    column, speed = _column(alone), np.asarray(data.speed)
+    heard = np.asarray(data.heard).any(axis=1)
+    sd = np.sqrt(fit.factor.covariances()[:, column, column]) / speed
+    time = np.asarray(data.time) + fit.x[:, column] / speed
+    smooth, spread = smooth_beat(
+        np.where(heard, time, np.nan), sd, np.asarray(data.nominal), np.asarray(data.n_intervals)
+    )
+    known = np.isfinite(smooth)
+    emission = np.where(known, (smooth - np.asarray(data.time)) * speed, fit.x[:, column])
+    return emission, np.where(known, spread, 1.0) * speed
 
 
 def _carry(
@@ -96,8 +143,7 @@ def _curves(values: dict):
 
 def _put_emission(cm: ChainModel, data: JointData, x, xy, sigma: float) -> None:
     """Emission times that suit the positions best: on the side where no arrival is early."""
-    column = next(s.columns.start for s in cm.chain if s.name == "emission")
-    heard = np.asarray(data.heard)
+    column, heard = _column(cm), np.asarray(data.heard)
     away = np.linalg.norm(xy[:, None] - np.asarray(data.receiver_xy), axis=2)
     reach = np.where(heard, np.asarray(data.range) - away, np.nan)
     for t in np.flatnonzero(heard.any(axis=1)):
@@ -115,12 +161,12 @@ def _loose(cm: ChainModel, u: np.ndarray, sd: float = 1e3) -> np.ndarray:
     return cm.flat_globals(values | {"interval_drift": sd})
 
 
-def _tightened(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray):
+def _tightened(cm: ChainModel, args: tuple, x, u, widths: tuple[float, ...] = _TIGHTER):
     """Mode of the path, a stiff schedule closing in on it by and by."""
     loose = _loose(cm, u)
     if loose is u:
         return find_mode(cm, args, x, u, method="robust", max_steps=6, tol=1e-2).x, u
-    for sd in _TIGHTER:
+    for sd in widths:
         x = find_mode(cm, args, x, _loose(cm, u, sd), method="robust", max_steps=6, tol=1e-2).x
     values = {k: np.asarray(v) for k, v in cm.values(x, u).items()}
     known = np.asarray(args[0].interval_known)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from maloc.data.arrivals import ArrivalTimes
+
 __all__ = ["ClockSync", "SyncResiduals"]
 
 NS = 1_000_000_000
@@ -193,6 +195,26 @@ class ClockSync:
         state, first = self._state(), float(self.knots[0])
         value = evaluate(state, first, self.spacing, np.maximum(clock, 0), common)
         return np.where(clock >= 0, value, np.nan)
+
+    def clock_sd(self, toa: ArrivalTimes) -> np.ndarray:
+        """Return how sure the clocks were when they heard a tag's pings.
+
+        Parameters
+        ----------
+        toa : ArrivalTimes
+            P pings, R deployments, on the common clock.
+
+        Returns
+        -------
+        array (P, R)
+            Standard error of the offset, s, linear between knots; 0 for receivers that were not
+            synchronised.
+        """
+        clock = self._index(toa.receivers.receiver)
+        time = toa.first + ((toa.origin or 0) - self.origin) / NS
+        known = np.nan_to_num(self.values_sd)
+        columns = [np.interp(time, self.knots, known[i]) if i >= 0 else 0 * time for i in clock]
+        return np.stack(columns, axis=1)
 
     def apply(self, detections: Detections) -> Detections:
         """Put detections on the common clock.

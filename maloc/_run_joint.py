@@ -1,0 +1,119 @@
+"""What `maloc track --model joint` does, from options to a finished folder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maloc._folder import check_free, output_folder
+from maloc._load import Source, TrackOptions, load
+from maloc._load_encounters import Encounters
+from maloc._log import Log
+from maloc._run_encounters import FittedTags, lines, run_model, tables
+from maloc.errors import InputError
+
+__all__ = ["fit_joint", "read_sequence", "run_joint"]
+
+
+def read_sequence(path: Path) -> np.ndarray:
+    """Burst intervals of a tag in their order, s: one number a line, a heading at most.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a line is no positive number, or there are none.
+    """
+    try:
+        rows = path.read_text(encoding="utf-8-sig").split("\n")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise InputError(f"cannot be read: {problem}", file=path) from None
+    found = []
+    for i, text in enumerate(rows, 1):
+        if not (cell := text.strip().strip(",;")):
+            continue
+        try:
+            value = float(cell)
+        except ValueError:
+            if not found and i == 1:
+                continue  # a heading
+            value = float("nan")
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(
+                f"'{cell}' is no burst interval", file=path, row=i, mend="give seconds, one a line"
+            )
+        found.append(value)
+    if not found:
+        raise InputError("holds no burst intervals", file=path)
+    return np.array(found)
+
+
+def fit_joint(source: Source, options: TrackOptions, log: Log) -> FittedTags:
+    """Fit all tags in the joint model.
+
+    Raises
+    ------
+    InputError
+        If the schedule does not fit the detections.
+    FitError
+        If the fit fails.
+    """
+    with log.stage("engine start"):  # JAX is imported here, and nowhere before
+        from maloc import models
+        from maloc.data import arrival_history
+
+    sequence = None if options.schedule_file is None else read_sequence(options.schedule_file)
+    with log.stage("group"):
+        clocks: Any = 0.0
+        if source.sync is not None:
+            clocks = [source.sync.clock_sd(toa) for toa in source.toas]
+        history = arrival_history(source.toas, sequence=sequence, clock_sd=clocks)
+    how: dict[str, Any] = {
+        "movement": options.movement,
+        "arrivals": options.error,
+        "detection": options.detection,
+        "loss": options.loss and history.silence != "unknown",
+        "dispersion": options.dispersion,
+        "receiver_effects": options.receiver_effects,
+        "sound_speed": "estimated" if options.sound_speed == "estimated" else "auto",
+    }
+    if history.silence == "unknown":
+        log.notice("no burst interval is known: pings that nobody heard are not counted")
+    fit = run_model(models.joint, history, how, options, log)
+    fitted = tables(fit, history.encounters, options, log)
+    states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
+    late = tuple(np.asarray(x, float)[states] for x in (fit.residuals(), fit.p_direct()))
+    return replace(fitted, late=late)
+
+
+def run_joint(
+    options: TrackOptions, out: Path, *, force: bool = False, quiet: bool = False
+) -> list[str]:
+    """Do all of `maloc track --model joint`; nothing is written unless everything worked.
+
+    Returns
+    -------
+    list of str
+        One line a tag: what was found.
+
+    Raises
+    ------
+    InputError
+        Bad input, or `out` is taken.
+    FitError
+        The fit failed.
+    """
+    check_free(out, force)
+    log = Log(quiet)
+    with log.listening():
+        source = load(options, log)
+        log.release()
+        fitted = fit_joint(source, options, log)
+        read = Encounters(fitted.history, source.receivers, source.detections)
+        with output_folder(out, force) as folder:
+            from maloc._write_encounters import write_encounters
+
+            write_encounters(folder, fitted, read, options, log)
+    return lines(fitted, read)
