@@ -10,9 +10,10 @@ from scipy import stats
 from maloc._jax import jax
 from maloc.infer import _input_scores as scores
 
-__all__ = ["Array", "Verdict", "judge_receivers", "judge_speed", "without"]
+__all__ = ["Array", "Verdict", "judge_receivers", "judge_speed", "scored", "without"]
 
 _SHIFT_SD = 30.0  # m; displacements that are looked for
+_TEMPERS = 0.0, _SHIFT_SD / 3  # m; least errors that receivers are looked at through
 
 
 class Array(NamedTuple):
@@ -39,20 +40,31 @@ class Verdict(NamedTuple):
     sd: np.ndarray
 
 
-def scored(points: list[scores.Point], key, simulations: int) -> Array:
-    """Scores of several fits in one array, added up."""
+def scored(points: list[scores.Point], key, simulations: int) -> tuple[Array, Array]:
+    """Scores of several fits in one array, added up: as fitted, and with errors widened."""
     data = points[0].args[0]
     present = np.asarray(data.present)
     xy = np.asarray(data.receiver_xy)[present]
-    shape = (len(xy), 2)
-    score, information = np.zeros(shape), np.zeros((*shape, *shape))
+    shape = (len(_TEMPERS), len(xy), 2)
+    score, information = np.zeros(shape), np.zeros((*shape, *shape[1:]))
     simulated = np.zeros((simulations, *shape))
+
+    def seen(point, lenses):
+        return np.array([scores.score(point, each)[present] for each in lenses])
+
     for point, key_point in zip(points, jax.random.split(key, len(points)), strict=True):
-        score += scores.score(point)[present]
-        information += scores.information(point)[present][:, :, present]
+        lenses = [scores.lens(point, temper) for temper in _TEMPERS]
+        score += seen(point, lenses)
+        for total, each in zip(information, lenses, strict=True):
+            total += each.information[present][:, :, present]
         for i, key_draw in enumerate(jax.random.split(key_point, simulations)):
-            simulated[i] += scores.score(point, scores.redrawn(point, key_draw))[present]
-    return Array(score, simulated, information, xy.mean(axis=0) - xy)
+            again = scores.refitted(point, scores.redrawn(point, key_draw))
+            simulated[i] += seen(again, lenses)
+    inward = xy.mean(axis=0) - xy
+    sharp, wide = (
+        Array(score[i], simulated[:, i], information[i], inward) for i in range(len(_TEMPERS))
+    )
+    return sharp, wide
 
 
 def without(array: Array, direction: np.ndarray, precision: float) -> Array:
