@@ -26,6 +26,7 @@ from maloc.statespace import SoftBox
 __all__ = ["initial_values", "put_positions", "repair", "stable_interval"]
 
 _FINE = (100.0, 60.0, 35.0, 20.0, 12.0, 8.0, 6.0, 5.0, 4.0, 3.0)
+_NEAR = _FINE[2:]  # from point positions, which err by less
 
 
 def initial_values(
@@ -63,7 +64,8 @@ def initial_values(
     receivers = np.asarray(data.receiver_xy)[np.asarray(data.heard).any(axis=0)]
     reach = 0.5 * float(np.linalg.norm(np.ptp(receivers, axis=0)))
     coarse = tuple(reach / 2.0**i for i in range(10) if reach / 2.0**i > 150)
-    x = anneal(cm, args, x, u, coarse + _FINE)
+    scales = coarse + _FINE if positions is None else _NEAR
+    x = anneal(cm, args, x, u, scales)
     for _ in range(3):
         u = _moments(cm, args, x, u)
         x = find_mode(cm, args, x, u, method="robust", max_steps=4, tol=1e-2).x

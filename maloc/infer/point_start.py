@@ -1,0 +1,66 @@
+"""Starting positions from single pings: population Monte Carlo, before any movement model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maloc.data.joint_data import JointData
+from maloc.data.model_data import ToaData
+from maloc.errors import InputError
+
+__all__ = ["checked_positions", "pmc_positions"]
+
+_SIGMA = 2.0  # m; a start needs no better, and finding it costs more than all the rest
+_REFLECTED = 0.1
+_LEAST = 3  # arrivals
+
+
+def checked_positions(args: tuple, positions: np.ndarray | str | None) -> np.ndarray | None:
+    """Positions to start from: those given, those of "pmc", or None (the middle of the array).
+
+    Raises
+    ------
+    InputError
+        If there is no such way to find positions, or the model has no arrival times.
+    """
+    if positions is None or not isinstance(positions, str):
+        return positions
+    if positions != "pmc":
+        raise InputError(f"positions '{positions}' are unknown", mend="'pmc', or an array (T, 2)")
+    if not (args and isinstance(args[0], ToaData | JointData)):
+        raise InputError("positions='pmc' needs a model of arrival times")
+    return pmc_positions(args[0])
+
+
+def pmc_positions(data: ToaData | JointData) -> np.ndarray | None:
+    """Positions (T, 2) m of all states; straight lines in time between the pings located.
+
+    Parameters
+    ----------
+    data : ToaData or JointData
+        T states.
+
+    Returns
+    -------
+    array or None
+        None where fewer than two pings have three arrivals.
+    """
+    from maloc.points._pmc import pmc
+    from maloc.points._problem import problem_of
+
+    heard = np.asarray(data.heard)
+    rows = np.flatnonzero(heard.sum(axis=1) >= _LEAST)
+    if len(rows) < 2:
+        return None
+    ranges = np.where(heard, np.asarray(data.range), np.nan)[rows]
+    flat = np.zeros(ranges.shape)
+    receivers = np.asarray(data.receiver_xy)
+    problem, _ = problem_of(ranges, receivers, flat, np.full(ranges.shape, _SIGMA))
+    found = pmc(problem, 2, n_particles=100, iterations=2, kernels=20, reflected=_REFLECTED)
+    sure = np.isfinite(found.position).all(axis=1)
+    if sure.sum() < 2:
+        return None
+    time = np.asarray(data.time)
+    return np.stack(
+        [np.interp(time, time[rows[sure]], found.position[sure, i]) for i in range(2)], axis=1
+    )
