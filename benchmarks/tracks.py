@@ -92,10 +92,10 @@ def simulated_cases(n: int, seed: int) -> Iterator[Case]:
         yield Case(name, toa, np.column_stack([truth.x, truth.y]))
 
 
-def fit_case(case: Case, method: str, draws: int, seed: int) -> Row:
+def fit_case(case: Case, method: str, draws: int, seed: int, positions: str | None = None) -> Row:
     """Fit and score one case; pings that nobody heard count in no score."""
     nan = float("nan")
-    fit = maloc.infer.laplace(maloc.models.toa_track, case.toa)
+    fit = maloc.infer.laplace(maloc.models.toa_track, case.toa, positions=positions)
     sampler = (nan, nan, nan, nan, nan)
     if method != "laplace":
         key = jax.random.key(seed)
@@ -172,6 +172,7 @@ def main() -> None:
     parser.add_argument("--peer", type=Path)
     parser.add_argument("--simulate", type=int, default=0)
     parser.add_argument("--method", choices=["laplace", "nuts", "hmc"], default="laplace")
+    parser.add_argument("--positions", choices=["pmc"], help="start from single pings' positions")
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--interval", type=float, nargs=2)
     parser.add_argument("--interval-stable", type=float, nargs=2)
@@ -186,12 +187,12 @@ def main() -> None:
     else:
         parser.error("give a FOLDER, or --simulate N")
     begin = time.perf_counter()
-    fit_case(cases[0], given.method, 50, given.seed)
+    fit_case(cases[0], given.method, 50, given.seed, given.positions)
     print(f"compile and first answer: {time.perf_counter() - begin:.1f} s wall\n")
     rows, failed = [], []
     for case in cases:
         try:
-            rows.append(fit_case(case, given.method, given.draws, given.seed))
+            rows.append(fit_case(case, given.method, given.draws, given.seed, given.positions))
         except FitError as error:
             failed.append(f"{case.name}: {error}")
     print_rows(rows, _peer(given.peer), given.method != "laplace")

@@ -6,10 +6,24 @@ ping where it was, how surely, which arrivals were used, and where a second plac
 
 from __future__ import annotations
 
+from maloc.points.altitude import Terrain, read_terrain
 from maloc.points.ambiguity import Rules, resolve
 from maloc.points.beacons import locate_by_beacons
+from maloc.points.expected import ErrorMap, expected_error, gdop
 from maloc.points.locate import locate
 from maloc.points.region import read_region
 from maloc.points.result import Points
 
-__all__ = ["Points", "Rules", "locate", "locate_by_beacons", "read_region", "resolve"]
+__all__ = [
+    "ErrorMap",
+    "Points",
+    "Rules",
+    "Terrain",
+    "expected_error",
+    "gdop",
+    "locate",
+    "locate_by_beacons",
+    "read_region",
+    "read_terrain",
+    "resolve",
+]

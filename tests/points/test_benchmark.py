@@ -23,3 +23,5 @@ def test_tables(monkeypatch, capsys):
     assert float(told[0][2]) > 0.97  # outliers rejected
     for row in roots:
         assert float(row[1]) == 1 and float(row[3]) == 1
+    stated = rows[-1]
+    assert stated[1] == "geometries" and float(stated[2]) >= 0.9
