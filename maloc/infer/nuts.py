@@ -38,7 +38,7 @@ def nuts(
     target_accept: float | None = None,
     progress: bool = True,
     path: tuple[str, ...] | None = None,
-    positions: np.ndarray | None = None,
+    positions: np.ndarray | str | None = None,
     **options,
 ) -> SampledFit:
     """Sample a chain-structured NumPyro model.

@@ -34,7 +34,7 @@ def svi(
     seed: int = 0,
     progress: bool = True,
     path: tuple[str, ...] | None = None,
-    positions: np.ndarray | None = None,
+    positions: np.ndarray | str | None = None,
     **options,
 ) -> SviFit:
     """Fit a chain-structured NumPyro model by structured variational inference.
