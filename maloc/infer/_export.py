@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from maloc.data.encounter_data import EncounterData
+from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def _groups(fit: Fit) -> dict:
 
     draws = fit.draws()
     data = fit.args[0] if fit.args else None
-    along = "state" if isinstance(data, EncounterData) else "ping"
+    along = "state" if isinstance(data, EncounterData | JointData) else "ping"
     attrs = {"inference_library": "maloc", "inference_library_version": __version__}
     attrs |= {"method": fit.method, "model": fit.model_name}
     chain_path = {s.name for s in fit.cm.chain}
@@ -62,6 +63,24 @@ def _groups(fit: Fit) -> dict:
         groups |= _toa_groups(fit, data, list(pointwise))
     elif isinstance(data, EncounterData):
         groups |= _encounter_groups(fit, data)
+    elif isinstance(data, JointData):
+        groups |= _joint_groups(fit, data, list(pointwise))
+    return groups
+
+
+def _joint_groups(fit: Fit, data: JointData, names: list[str]) -> dict:
+    """Encounters, and the arrivals with where they belong."""
+    groups = _encounter_groups(fit, data.encounters)
+    if "arrival" in names:
+        n = fit.n_states
+        rows, columns = np.nonzero(np.asarray(data.heard)[:n])
+        groups["observed_data"] = groups["observed_data"].assign(
+            arrival=("arrival_value", np.asarray(data.range)[rows, columns]),
+            arrival_state=("arrival_value", rows),
+            arrival_receiver=("arrival_value", columns),
+        )
+        speed = np.asarray(data.speed)[:n]
+        groups["constant_data"] = groups["constant_data"].assign(sound_speed=("state", speed))
     return groups
 
 
