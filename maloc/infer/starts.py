@@ -21,6 +21,7 @@ from maloc.infer.mode import anneal, find_mode
 __all__ = ["joint_starts"]
 
 _STIFF = ("stable", "sequence")
+_SURE = (1, 4, 5)  # receivers that a ping needs to tell of the beat: few err together
 _TIGHTER = (300.0, 100.0, 30.0, 10.0)  # ms: a stiff schedule is tightened in these steps
 
 
@@ -48,14 +49,16 @@ def joint_starts(
         if _sparse(data):
             yield from _on_grid(cm, args, x, u, None, draws, rng)
         return
-    yield from _on_grid(cm, args, x, u, _beat(alone, fit, data), draws, rng)
+    for sure in _SURE:
+        yield from _on_grid(cm, args, x, u, _beat(alone, fit, data, sure), 0, rng)
     if "p0" in cm.values(x, u):  # and from silence, as long as no beat is heard
         quiet = chain_model(cm.model, cm.options | {"schedule": False}, args, path)
         x, u = _carry(alone, fit, quiet, args)
         fit = maximise_marginal(quiet, args, x, _detection(quiet, args, x, u))
         x, u = _carry(quiet, fit, cm, args)
         yield _tightened(cm, args, x, u)
-        yield from _on_grid(cm, args, x, u, _beat(quiet, fit, data), draws, rng)
+        for sure in _SURE:
+            yield from _on_grid(cm, args, x, u, _beat(quiet, fit, data, sure), 0, rng)
 
 
 def _on_grid(cm: ChainModel, args: tuple, x, u, beat, draws: int, rng):
@@ -86,10 +89,13 @@ def _column(cm: ChainModel) -> int:
     return next(s.columns.start for s in cm.chain if s.name == "emission")
 
 
-def _beat(alone: ChainModel, fit: MarginalFit, data: JointData):
-    """Emission (S,) m, and its sd, as the beat foretells it from a fit that knows no beat."""
+def _beat(alone: ChainModel, fit: MarginalFit, data: JointData, sure: int):
+    """Emission (S,) m, and its sd, as the beat foretells it from a fit that knows no beat.
+
+    Only pings heard by at least `sure` receivers tell of it.
+    """
     column, speed = _column(alone), np.asarray(data.speed)
-    heard = np.asarray(data.heard).any(axis=1)
+    heard = np.asarray(data.heard).sum(axis=1) >= sure
     sd = np.sqrt(fit.factor.covariances()[:, column, column]) / speed
     time = np.asarray(data.time) + fit.x[:, column] / speed
     smooth, spread = smooth_beat(
