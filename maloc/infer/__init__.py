@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from maloc.infer.criticism import InputCheck, InputChecks, check_inputs
 from maloc.infer.laplace import laplace
+from maloc.infer.loo import loo_by_ping
 from maloc.infer.nuts import nuts
 from maloc.infer.result import Fit, LaplaceFit, SampledFit
 from maloc.infer.svi import SviFit, svi
@@ -17,6 +18,7 @@ __all__ = [
     "SviFit",
     "check_inputs",
     "laplace",
+    "loo_by_ping",
     "nuts",
     "svi",
 ]
