@@ -33,8 +33,8 @@ PARAMETERS = (
 )  # fmt: skip
 PRIORS = sbc.PRIORS | {
     "sigma_vel": dist.LogNormal(np.log(0.12), 0.4),
-    "p0": dist.Beta(8.0, 3.0),
-    "scale": dist.LogNormal(np.log(110.0), 0.25),
+    "p0": dist.Beta(20.0, 4.0),
+    "scale": dist.LogNormal(np.log(120.0), 0.15),
     "range_sd": dist.LogNormal(np.log(0.15), 0.4),
     "range_memory": dist.LogNormal(np.log(300.0), 0.4),
 }
