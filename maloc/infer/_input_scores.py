@@ -73,7 +73,9 @@ def _surrogate(cm: ChainModel, shift, x, here, u, args, temper):
     fixed = cm._trace(cm.sites(here, u)[0], args)
     total = jnp.zeros(())
     for name, site in cm._trace(cm.sites(x, u)[0], _shifted(args, shift)).items():
-        base, mask = _unwrap(site["fn"]) if site["type"] == "sample" else (None, None)
+        if site["type"] != "sample":
+            continue
+        base, mask = _unwrap(site["fn"])
         if hasattr(base, "curvature"):
             law = _unwrap(fixed[name]["fn"])[0].widened(temper)
             at = site["value"]

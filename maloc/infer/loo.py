@@ -51,7 +51,7 @@ def ping_log_likelihood(fit: Fit, draws: int = 100) -> np.ndarray:
 
         l(x) - g' inv(C) g / 2 + log det(C) / 2 - log det(1 / S) / 2.
     """
-    data = fit.args[0] if fit.args else None
+    data: Any = fit.args[0] if fit.args else None
     if not hasattr(data, "range") or not hasattr(data, "valid"):
         raise InputError(f"a fit of {fit.model_name} has no pings with arrival times")
     cm, args = fit.cm, fit.args
@@ -95,7 +95,7 @@ def loo_by_ping(fit: Fit, draws: int = 100) -> Any:
     import xarray as xr
 
     value = ping_log_likelihood(fit, draws)[None]
-    groups = {
+    groups: dict[str, Any] = {
         "posterior": xr.Dataset({"draw_of": (("chain", "draw"), np.zeros(value.shape[:2]))}),
         "log_likelihood": xr.Dataset({"density": (("chain", "draw", "ping"), value)}),
     }

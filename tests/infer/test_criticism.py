@@ -244,6 +244,21 @@ class TestCheckInputs:
         assert found.suspects == (row.suspect,)
         assert " ! R2" in str(found)
 
+    @pytest.mark.slow
+    @pytest.mark.filterwarnings("ignore::maloc.errors.MalocWarning")
+    def test_a_fit_of_the_joint_model(self):
+        """Two wrong inputs at once, both named."""
+        times, _, _ = cases.toa(pings=30, kind="random", unheard=())
+        r = times.receivers
+        moved = maloc.Receivers(r.receiver, r.x + 12.0 * (np.arange(len(r)) == 2), r.y)
+        limits = maloc.Schedule("random", 21.0, 29.0)
+        wrong = times.replace(receivers=moved, schedule=limits)
+        fit = maloc.infer.laplace(maloc.models.joint, wrong, detection=None)
+        found = maloc.infer.check_inputs(fit, wrong, simulations=15)
+        assert found["burst limits"].suspect
+        assert found["receiver positions"].suspect
+        assert found["receiver positions"].receiver == "R2"
+
     def test_an_estimated_sound_speed_is_not_checked(self):
         times, _, _ = cases.toa(pings=16)
         fit = maloc.infer.laplace(toa_track, times, sound_speed="estimated")
