@@ -1,5 +1,7 @@
 """Score a track against a boat's GPS: ``python -m benchmarks.gps TRACK.csv... --gps gps.csv``.
 
+Point positions (points.csv) are scored alike, those that were located.
+
 The GPS (columns utm_x, utm_y, epo or x, y, t) is interpolated to each ping inside its span.
 Coverage is given as the track states it and with the GPS's own sd (``--gps-sd``, metres an axis)
 added.
@@ -19,13 +21,17 @@ def errors(track: pl.DataFrame, gps: np.ndarray, gps_sd: float) -> dict[str, np.
 
     ``gps`` is (n, 3): x, y (m) and time (s). Keys: error, inside, inside_with_gps_sd, heard.
     """
+    track = track.drop_nulls(["x", "y"])
     t = track["t"].to_numpy()
     within = (t > gps[0, 2]) & (t < gps[-1, 2])
     true = np.column_stack([np.interp(t, gps[:, 2], gps[:, a]) for a in (0, 1)])[within]
     xy = track["x", "y"].to_numpy()[within]
     off = np.abs(xy - true)
-    low, high = (track[f"x_{e}", f"y_{e}"].to_numpy()[within] for e in ("lo", "hi"))
-    sd = np.hypot(track["sd_x", "sd_y"].to_numpy()[within], gps_sd)
+    own = track["sd_x", "sd_y"].to_numpy()[within]
+    low, high = xy - 1.96 * own, xy + 1.96 * own
+    if "x_lo" in track.columns:
+        low, high = (track[f"x_{e}", f"y_{e}"].to_numpy()[within] for e in ("lo", "hi"))
+    sd = np.hypot(own, gps_sd)
     return {
         "error": np.hypot(*off.T),
         "inside": ((low <= true) & (true <= high)).mean(axis=1),
