@@ -131,7 +131,7 @@ def locate_by_beacons(
     points = points.replace(why=np.where(nothing, "no sync tag's ping to compare with", points.why))
     if multiple:
         points = _share(toa, points, known, best, each, receivers, below, options)
-    sd = float(each.mean()) if np.ndim(sigma) == 0 else points.sigma
+    sd = float(each.mean()) if sigma is None or np.ndim(sigma) == 0 else points.sigma
     return points.replace(emission=_emission(toa, points, below), sigma=sd)
 
 

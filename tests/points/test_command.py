@@ -74,7 +74,7 @@ def test_clocks_apart_are_compared_with_sync_tags(tmp_path):
     off = np.linalg.norm(offset, axis=1)
     assert len(off) > 50
     assert np.nanmedian(off) < 5  # clocks are up to .9 s apart, 1300 m
-    stated = np.hypot(truth["sd_x"], truth["sd_y"]).to_numpy()
+    stated = np.hypot(truth["sd_x"].to_numpy(), truth["sd_y"].to_numpy())
     assert 0.5 < np.median(off / stated) < 1.5
     assert pl.read_csv(tmp_path / "out" / "arrivals.csv")["residual"].is_null().all()
     track = run("track", *words, "--out", tmp_path / "track")
