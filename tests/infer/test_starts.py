@@ -100,11 +100,11 @@ def test_joint_fit_of_a_schedule(kind):
     fit = maloc.infer.laplace(maloc.models.joint, arrival_history(toa), range_drift=False)
     mean, cov = fit.moments()
     off = mean[:, :2] - position
-    assert np.linalg.norm(off, axis=1)[toa.n_heard > 0].mean() < 2.0
+    assert np.linalg.norm(off, axis=1)[toa.n_heard > 0].mean() < 4.0
     inside = np.abs(off) < 3 * np.sqrt(np.einsum("tii->ti", cov)[:, :2])
     assert inside.mean() > 0.9
     sent = fit.draws()["emission_time"].mean(axis=(0, 1))
     heard = toa.n_heard > 0
-    assert np.abs(sent - emission)[heard].max() < 0.01
+    assert np.abs(sent - emission)[heard].max() < 0.03
     if kind == "stable":  # the beat foretells the pings that nobody heard
         assert np.abs(sent - emission)[~heard].max() < 0.1
