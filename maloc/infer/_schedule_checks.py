@@ -54,12 +54,7 @@ def implied_gaps(point: Point, rng: np.random.Generator) -> Gaps:
     noise = factor.unwhiten(rng.standard_normal((100, *x.shape)))
     column = next(s.columns.start for s in cm.chain if s.name == "emission")
     speed = np.asarray(data.speed)
-    time = np.asarray(
-        cm.values(
-            x,
-            point.u,
-        )["emission"]
-    ) / speed + np.asarray(data.time)
+    time = x[:, column] / speed + np.asarray(data.time)
     off = noise[:, :, column] / speed
     tag = np.asarray(getattr(data, "tag", np.zeros(len(time))))
     heard = np.flatnonzero(np.asarray(data.heard).any(axis=1) & np.asarray(data.valid))
