@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpyro.distributions as dist
@@ -21,9 +22,8 @@ class _Drift(dist.Distribution):
     is_chain = True
     support: Any = constraints.independent(constraints.real, 1)
 
-    def _laws(self):
-        """Multiplier of the state before (T,), 0 where a path starts, and sd (T,)."""
-        raise NotImplementedError
+    # multiplier of the state before (T,), 0 where a path starts, and sd (T,)
+    _laws: Callable[[], tuple[Array, Array]]
 
     def log_prob(self, value: Float[Array, "... T"]):
         """Log density of paths (..., T), shape (...)."""
