@@ -161,7 +161,7 @@ def to_model_data(history: ArrivalHistory, pad: bool = True) -> JointData:
     links = history.links
     linked = ping[:-1] & ping[1:] & (np.diff(states.tag) == 0)
     if history.schedule == "random":  # an unheard ping's own time says nothing
-        some = heard.any(axis=1)
+        some = np.asarray(heard.any(axis=1))
         linked &= some[:-1] & some[1:]
     step = row[:-1][linked]
     n_intervals, nominal = np.zeros(s - 1), np.zeros(s - 1)
