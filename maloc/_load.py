@@ -47,6 +47,7 @@ class TrackOptions:
     schedule_file: Path | None = None
     sound_speed: str | None = None
     method: str = "laplace"
+    start: str = "annealed"
     ignore_columns: tuple[str, ...] = ()
     crs: str | None = None
     draws: int = 1000
@@ -74,10 +75,17 @@ class TrackOptions:
             raise InputError("--sound-speed says nothing to --model detections; leave it out")
         if self.method == "svi" and self.model == "toa":
             raise InputError("--method svi goes with --model detections or joint")
+        if self.start == "pmc" and self.model == "detections":
+            raise InputError("--start pmc needs arrival times: not with --model detections")
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
         self.schedule()
         self.speed()
+
+    @property
+    def positions(self) -> str | None:
+        """What a fit starts from besides the middle of the array."""
+        return "pmc" if self.start == "pmc" else None
 
     def schedule(self) -> Schedule:
         """What is known of the burst interval."""

@@ -68,6 +68,7 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
         "movement": options.movement,
         "error": options.error,
         "sound_speed": "estimated" if options.sound_speed == "estimated" else "auto",
+        "positions": options.positions,
     }
     with log.stage("fit"):
         if options.method == "laplace":

@@ -78,6 +78,7 @@ def fit_joint(source: Source, options: TrackOptions, log: Log) -> FittedTags:
         "dispersion": options.dispersion,
         "receiver_effects": options.receiver_effects,
         "sound_speed": "estimated" if options.sound_speed == "estimated" else "auto",
+        "positions": options.positions,
     }
     if history.silence == "unknown":
         log.notice("no burst interval is known: pings that nobody heard are not counted")

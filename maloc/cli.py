@@ -251,6 +251,10 @@ def track(
         Literal["laplace", "nuts", "hmc", "svi"],
         typer.Option(help="How the posterior is found (svi: not --model toa)."),
     ] = "laplace",
+    start: Annotated[
+        Literal["annealed", "pmc"],
+        typer.Option(help="pmc: begin from single pings' positions too, the better start wins."),
+    ] = "annealed",
     ignore_columns: Annotated[
         str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
     ] = "",
@@ -289,6 +293,7 @@ def track(
         schedule_file=schedule,
         sound_speed=sound_speed,
         method=method,
+        start=start,
         ignore_columns=tuple(c.strip() for c in ignore_columns.split(",") if c.strip()),
         crs=crs,
         draws=draws,

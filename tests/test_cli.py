@@ -221,6 +221,7 @@ def test_a_failed_fit_is_explained_and_leaves_nothing(tmp_path, engine, monkeypa
 def test_samplers_get_their_options(tmp_path, engine):
     args = ["track", "--toa", toa_csv(tmp_path), "--receivers", receivers_csv(tmp_path), "-q"]
     more = ["--method", "hmc", "--draws", 50, "--chains", 3, "--sound-speed", "estimated"]
+    more += ["--start", "pmc"]
     assert run(*args, *more, "--out", tmp_path / "out").exit_code == 0
     assert engine[0] == {
         "method": "hmc",
@@ -229,6 +230,7 @@ def test_samplers_get_their_options(tmp_path, engine):
         "movement": "ctcrw",
         "error": "ddetect",
         "sound_speed": "estimated",
+        "positions": "pmc",
         "progress": False,
     }
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())

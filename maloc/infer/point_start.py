@@ -60,7 +60,11 @@ def pmc_positions(data: ToaData | JointData) -> np.ndarray | None:
     sure = np.isfinite(found.position).all(axis=1)
     if sure.sum() < 2:
         return None
-    time = np.asarray(data.time)
-    return np.stack(
-        [np.interp(time, time[rows[sure]], found.position[sure, i]) for i in range(2)], axis=1
-    )
+    time, where = np.asarray(data.time), found.position[sure]
+    tag = np.asarray(data.tag) if isinstance(data, JointData) else np.zeros(len(time), int)
+    out = np.tile(where.mean(axis=0), (len(time), 1))
+    for one in np.unique(tag[rows[sure]]):
+        mine, seen = tag == one, tag[rows[sure]] == one
+        at = time[rows[sure]][seen]
+        out[mine] = np.stack([np.interp(time[mine], at, where[seen, i]) for i in (0, 1)], axis=1)
+    return out
