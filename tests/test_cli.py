@@ -130,7 +130,7 @@ def test_entry_point_exits_with_the_code(tmp_path):
         (["nonsense"], "nonsense"),
         (["track", "x.csv", "--out", "o"], "--receivers"),
         (["track", "x.csv", "--receivers", "r.csv"], "--out"),
-        (["track", "x.csv", "--receivers", "r", "--out", "o", "--model", "joint"], "joint"),
+        (["track", "x.csv", "--receivers", "r", "--out", "o", "--model", "yaps"], "yaps"),
         (["track", "x.csv", "--receivers", "r", "--out", "o", "--method", "svi"], "svi"),
         (["track", "x.csv", "--receivers", "r", "--out", "o", "--interval", "20"], "--interval"),
         (["track", "x.csv", "--receivers", "r", "--out", "o", "--interval", "40", "20"], "MAX"),
