@@ -175,7 +175,7 @@ def test_track_writes_every_file(tmp_path, engine):
     )
     assert result.exit_code == 0, result.output
     assert {p.name for p in out.iterdir()} == OUTPUTS
-    wanted = {"movement": "rw", "error": "student", "sound_speed": "auto"}
+    wanted = {"movement": "rw", "error": "student", "sound_speed": "auto", "positions": None}
     assert engine == [wanted | {"draws": 1000, "seed": 0}]
     track = pl.read_csv(out / "track.csv")
     assert track["n_receivers"].to_list() == [4, 4, 4, 0, 4, 4, 4, 4]
