@@ -108,3 +108,22 @@ def test_joint_fit_of_a_schedule(kind):
     assert np.abs(sent - emission)[heard].max() < 0.03
     if kind == "stable":  # the beat foretells the pings that nobody heard
         assert np.abs(sent - emission)[~heard].max() < 0.1
+
+
+def test_samplers_and_svi_agree_on_the_joint_model():
+    """NUTS and SVI start from the same fit and come to the same states."""
+    import maloc
+    from maloc._jax import jax
+
+    toa = cases.toa(pings=24, unheard=(7, 8), kind="random", seed=3)[0]
+    how = {"range_drift": False, "progress": False}
+    history = arrival_history(toa)
+    sampled = maloc.infer.nuts(jax.random.key(0), maloc.models.joint, history, draws=300, **how)
+    guided = maloc.infer.svi(jax.random.key(0), maloc.models.joint, history, **how)
+    (mean, cov), (close, near) = sampled.moments(), guided.moments()
+    sd = np.sqrt(np.einsum("tii->ti", cov))
+    heard = toa.n_heard > 0
+    assert np.abs((close - mean) / sd)[heard].mean() < 0.15
+    ratio = np.sqrt(np.einsum("tii->ti", near)) / sd
+    assert np.median(ratio[heard]) == pytest.approx(1.0, abs=0.15)
+    assert sampled.stats["diverging"].sum() < 5

@@ -107,7 +107,7 @@ def test_interval_drift_and_step_are_sums_of_intervals():
         start = np.concatenate([[1.0], np.zeros(2 * n)])
         by = np.stack([start, end, total])
         cov = by @ np.diag(np.concatenate([[first**2], np.full(n, sd**2), np.full(n, jitter**2)]))
-        wanted = multivariate_normal(np.zeros(3), cov @ by.T)
+        wanted = multivariate_normal(np.zeros(3), cov @ by.T)  # pyright: ignore[reportArgumentType]
         b0, bn, t = 12.0, 15.0, 13.0 * n
         walk = IntervalDrift(np.array([float(n)]), sd, first)
         mean, width = interval_step(float(n), b0, bn, sd, jitter)
@@ -138,7 +138,7 @@ class TestSequence:
         sent = sent[keep]
         toa = times()
         arrival = sent[:, None] + np.random.default_rng(0).uniform(0.01, 0.05, (len(sent), 6))
-        return maloc.ArrivalTimes(arrival, toa.receivers, 1480.0)
+        return maloc.ArrivalTimes(arrival, toa.receivers, np.full(len(sent), 1480.0))
 
     def test_phase_and_missed_pings_are_found(self):
         keep = np.array([0, 1, 4, 5, 6, 9, 15, 16, 30])
