@@ -1,5 +1,7 @@
 """Starts of the joint model: a beat smoothed, a grid searched."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -116,7 +118,7 @@ def test_samplers_and_svi_agree_on_the_joint_model():
     from maloc._jax import jax
 
     toa = cases.toa(pings=24, unheard=(7, 8), kind="random", seed=3)[0]
-    how = {"range_drift": False, "progress": False}
+    how: dict[str, Any] = {"range_drift": False, "progress": False}
     history = arrival_history(toa)
     sampled = maloc.infer.nuts(jax.random.key(0), maloc.models.joint, history, draws=300, **how)
     guided = maloc.infer.svi(jax.random.key(0), maloc.models.joint, history, **how)
