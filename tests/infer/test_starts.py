@@ -92,14 +92,31 @@ def test_silence_alone_places_a_tag_on_the_grid():
     assert off < 0.8 * np.linalg.norm(middle - position, axis=1).mean()
 
 
-@pytest.mark.parametrize("kind", ["stable", "random"])
-def test_joint_fit_of_a_schedule(kind):
-    """End to end on 40 pings: near the truth, emission times to a few milliseconds."""
+HOW: dict[str, Any] = {"range_drift": False}
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """Data, truth and Laplace fit of 24 pings, by schedule; made when first asked for."""
     import maloc
 
-    toa, emission, position = cases.toa(pings=40, unheard=(7, 8), kind=kind, seed=3)
+    made = {}
+
+    def get(kind: str):
+        if kind not in made:
+            toa, emission, position = cases.toa(pings=24, unheard=(7, 8), kind=kind, seed=3)
+            fit = maloc.infer.laplace(maloc.models.joint, arrival_history(toa), **HOW)
+            made[kind] = toa, emission, position, fit
+        return made[kind]
+
+    return get
+
+
+@pytest.mark.parametrize("kind", ["stable", "random"])
+def test_joint_fit_of_a_schedule(fits, kind):
+    """End to end: near the truth, emission times to some milliseconds."""
+    toa, emission, position, fit = fits(kind)
     assert toa.schedule == Schedule(kind, *((25.0, 0.02) if kind == "stable" else (20.0, 30.0)))
-    fit = maloc.infer.laplace(maloc.models.joint, arrival_history(toa), range_drift=False)
     mean, cov = fit.moments()
     off = mean[:, :2] - position
     assert np.linalg.norm(off, axis=1)[toa.n_heard > 0].mean() < 4.0
@@ -112,16 +129,16 @@ def test_joint_fit_of_a_schedule(kind):
         assert np.abs(sent - emission)[~heard].max() < 0.1
 
 
-def test_samplers_and_svi_agree_on_the_joint_model():
+def test_samplers_and_svi_agree_on_the_joint_model(fits):
     """NUTS and SVI start from the same fit and come to the same states."""
     import maloc
     from maloc._jax import jax
 
-    toa = cases.toa(pings=24, unheard=(7, 8), kind="random", seed=3)[0]
-    how: dict[str, Any] = {"range_drift": False, "progress": False}
-    history = arrival_history(toa)
-    sampled = maloc.infer.nuts(jax.random.key(0), maloc.models.joint, history, draws=300, **how)
-    guided = maloc.infer.svi(jax.random.key(0), maloc.models.joint, history, **how)
+    toa, _, _, fit = fits("random")
+    sampled = maloc.infer.nuts(jax.random.key(0), fit, draws=300, progress=False)
+    guided = maloc.infer.svi(
+        jax.random.key(0), maloc.models.joint, arrival_history(toa), progress=False, **HOW
+    )
     (mean, cov), (close, near) = sampled.moments(), guided.moments()
     sd = np.sqrt(np.einsum("tii->ti", cov))
     heard = toa.n_heard > 0
