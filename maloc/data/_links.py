@@ -103,12 +103,13 @@ def _misfit(gaps, intervals, slack: float, start: int):
 def sequence_counts(
     first: np.ndarray, intervals: np.ndarray, slack: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals in each gap of the first arrivals (P,), and their nominal length, s."""
+    """Intervals in each gap of the first arrivals (P,), and each one's length, s (0: not known)."""
     start, counts = find_phase(np.diff(first), intervals, slack)
-    ends = np.concatenate([[0.0], np.cumsum(np.roll(intervals, -start))])
-    place = np.concatenate([[0], np.cumsum(counts)]).astype(int)
-    turns, rest = np.divmod(place, len(intervals))
-    return counts, np.diff(turns * ends[-1] + ends[rest])
+    rolled, each, place = np.roll(intervals, -start), [], 0
+    for n in counts.astype(int):
+        each += [rolled[(place + i) % len(rolled)] for i in range(n)] if n else [0.0]
+        place += n
+    return counts, np.array(each)
 
 
 def insert_unheard(toa: ArrivalTimes, counts: np.ndarray) -> ArrivalTimes:

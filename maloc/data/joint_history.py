@@ -167,19 +167,17 @@ def _whole(toa: ArrivalTimes, schedule: Schedule, sequence, known) -> tuple[Arri
     gaps = np.diff(bare.first)
     if sequence is not None:
         slack = 0.5 * travel_slack(toa.receivers.xy[toa.heard.any(axis=0)]) + _ROUNDING
-        counts, lengths = _links.sequence_counts(bare.first, np.asarray(sequence, float), slack)
+        counts, each = _links.sequence_counts(bare.first, np.asarray(sequence, float), slack)
     else:
         counts, mean = _links.stable_counts(gaps, schedule.lo)
-        lengths = counts * mean
+        each = np.repeat(np.where(counts > 0, mean, 0.0), np.maximum(counts, 1).astype(int))
         if (odd := int((counts == 0).sum())) > 0.1 * max(len(counts), 1):
             raise InputError(
                 f"tag {toa.tag or '(no name)'}: {odd} of {len(counts)} gaps between heard pings "
                 f"hold no whole number of intervals of {schedule}",
                 mend="give the interval as random MIN MAX",
             )
-    steps = np.maximum(counts, 1).astype(int)
-    whole = _links.insert_unheard(bare, steps)
-    each = np.repeat(np.where(counts > 0, lengths / steps, 0.0), steps)
+    whole = _links.insert_unheard(bare, np.maximum(counts, 1))
     return whole, Links(np.where(each > 0, 1.0, 0.0), each)
 
 
