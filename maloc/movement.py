@@ -10,6 +10,10 @@ Several tags of different lengths make one path instead, laid end to end: ``tag`
 state each one is, the first state of every tag starts afresh, and the scalars may be arrays (N,)
 with one value a tag.
 
+Every path distribution also says how it moves between any two times: ``step(dt, ...)`` is one
+axis's transition matrix and covariance, ``scale_names`` the parameters it takes, and ``turn`` the
+signs that turn a state round in time. Bridges between states are made of these.
+
 References
 ----------
 Johnson, London, Lea & Durban (2008) Continuous-time correlated random walk model for animal
@@ -21,16 +25,16 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpyro.distributions as dist
+import numpy as np
 from jaxtyping import Array, Float
 from numpyro.distributions import constraints
-from numpyro.distributions.util import promote_shapes
 
 from maloc._jax import jax, jnp
+from maloc._ou import OU
+from maloc._path import LOG_2PI, MarkovPath, column
 
-__all__ = ["CTCRW", "Brownian", "Transition", "ctcrw_beta", "ctcrw_transition"]
+__all__ = ["CTCRW", "OU", "Brownian", "Transition", "ctcrw_beta", "ctcrw_transition"]
 
-_LOG_2PI = math.log(2 * math.pi)
 _SERIES_BELOW = 0.3
 # 2x - 3 + 4 e^-x - e^-2x = sum_n (-1)^n (4 - 2^n) x^n / n!, n >= 3
 _SERIES = [(-1.0) ** n * (4 - 2.0**n) / math.factorial(n) for n in range(3, 19)]
@@ -52,17 +56,17 @@ class Transition(NamedTuple):
 
 def ctcrw_beta(t05):
     """Velocity decay rate beta (1/s) from ``t05`` (s), the time after which correlation is 5 %."""
-    return -jnp.log(0.05) / t05
+    return -math.log(0.05) / t05
 
 
-def _position_variance(x):
+def _position_variance(x, xp: Any = jnp):
     """2x - 3 + 4 e^-x - e^-2x without cancellation at small x: 2/3 x^3 there."""
-    small = jnp.minimum(x, _SERIES_BELOW)
-    series = jnp.zeros_like(x)
+    small = xp.minimum(x, _SERIES_BELOW)
+    series = xp.zeros_like(x)
     for c in reversed(_SERIES):
         series = series * small + c
-    e = jnp.exp(-x)
-    return jnp.where(x < _SERIES_BELOW, series * small**3, 2 * x - 3 + 4 * e - e * e)
+    e = xp.exp(-x)
+    return xp.where(x < _SERIES_BELOW, series * small**3, 2 * x - 3 + 4 * e - e * e)
 
 
 def ctcrw_transition(dt, sigma_vel, beta) -> Transition:
@@ -86,15 +90,17 @@ def ctcrw_transition(dt, sigma_vel, beta) -> Transition:
     ----------
     Johnson et al. (2008), equations 5-7; alpha and beta as in kaltoa.
     """
+    # NumPy where nothing is JAX's: JAX would compile anew for every shape
+    xp: Any = jnp if any(isinstance(v, jax.Array) for v in (dt, sigma_vel, beta)) else np
     x = beta * dt
-    one_minus_e = -jnp.expm1(-x)
+    one_minus_e = -xp.expm1(-x)
     var = sigma_vel**2
     return Transition(
         a12=one_minus_e / beta,
-        a22=jnp.exp(-x),
-        q11=var / beta**2 * _position_variance(x),
+        a22=xp.exp(-x),
+        q11=var / beta**2 * _position_variance(x, xp),
         q12=var / beta * one_minus_e**2,
-        q22=-var * jnp.expm1(-2 * x),
+        q22=-var * xp.expm1(-2 * x),
     )
 
 
@@ -108,144 +114,7 @@ def _step_factor(transition: Transition):
     return l11, l21, jnp.sqrt(transition.q22 - l21**2)
 
 
-def _total(x):
-    """Sum over the last two axes (time and axis of a path)."""
-    return jnp.sum(x, axis=(-2, -1))
-
-
-class _Path(dist.Distribution):
-    """What both path distributions share: shapes, and a start around a centre."""
-
-    is_chain = True
-    pytree_data_fields = ("tag", "start")
-    support: Any
-    dt: Any
-    centre: Any
-    spread: Any
-    tag: Any
-    start: Any
-    _log_density: Any  # (batch + event) -> (batch)
-    _path: Any  # standard normal noise (batch + event), first positions (or None) -> path
-
-    def _set(
-        self, dt, centre, scalars: dict, tail: tuple[int, ...], tag, start, validate_args
-    ) -> None:
-        """Keep the parameters, all with the batch's number of dimensions (plus their own)."""
-        dt, centre = jnp.asarray(dt), jnp.asarray(centre)
-        self.tag, self.start = tag, start
-        if tag is not None:
-            if dt.ndim != 1 or centre.ndim != 1 or jnp.shape(tag) != (dt.shape[0] + 1,):
-                raise ValueError("tags laid end to end take dt (T - 1,), centre (A,) and tag (T,)")
-            self.dt, self.centre = dt, centre
-            for name, value in scalars.items():
-                setattr(self, name, jnp.asarray(value) if name == "spread" else _by_tag(value, tag))
-            event = (dt.shape[0] + 1, *tail, centre.shape[0])
-            super().__init__(batch_shape=(), event_shape=event, validate_args=validate_args)
-            return
-        shapes = [jnp.shape(v) for v in scalars.values()]
-        batch = jax.lax.broadcast_shapes(dt.shape[:-1], centre.shape[:-1], *shapes)
-        (self.dt,) = promote_shapes(dt, shape=(*batch, dt.shape[-1]))
-        (self.centre,) = promote_shapes(centre, shape=(*batch, centre.shape[-1]))
-        for name, value in scalars.items():
-            (value,) = promote_shapes(value, shape=batch)
-            setattr(self, name, value)
-        event = (dt.shape[-1] + 1, *tail, centre.shape[-1])
-        super().__init__(batch_shape=batch, event_shape=event, validate_args=validate_args)
-
-    def _over(self, function, value):
-        """``function(value)``, mapped over the value's sample dimensions."""
-        for _ in range(jnp.ndim(value) - len(self.batch_shape) - len(self.event_shape)):
-            function = jax.vmap(function)
-        return function(value)
-
-    def log_prob(self, value: Float[Array, ...]):
-        """Log density of a path; the value's shape ends in batch_shape + event_shape."""
-        return self._over(self._log_density, value)
-
-    def sample(self, key: Array, sample_shape=()):
-        """Draw paths, shape ``sample_shape + batch_shape + event_shape``."""
-        key, key_first = jax.random.split(key)
-        noise = jax.random.normal(key, self.shape(sample_shape))
-        if self.start is None:
-            return self._over(lambda z: self._path(z, None), noise)
-        lead = noise.shape[: noise.ndim - len(self.event_shape)]
-        firsts = self.start.sample(key_first, (*lead, self.event_shape[0]))
-        path = self._path
-        for _ in lead:
-            path = jax.vmap(path)
-        return path(noise, firsts)
-
-    def _starts(self):
-        """Which states after the first start a tag, (T - 1,) bool."""
-        return self.tag[1:] != self.tag[:-1]
-
-    def _first_law(self):
-        """Law of a first position (A,)."""
-        if self.start is not None:
-            return self.start
-        spread = jnp.broadcast_to(_column(self.spread), self.centre.shape)
-        return dist.Normal(self.centre, spread).to_event(1)
-
-    def _firsts(self, states):
-        """Those of the states (..., T, A) that the law of first states is asked about."""
-        return states[..., :1, :] if self.tag is None else states
-
-    def _place(self, position):
-        """Log density (..., T or 1) of positions as first ones."""
-        position = self._firsts(position)
-        if self.start is not None:
-            return self.start.log_prob(position)
-        spread = _column(self.spread)
-        off = (position - self.centre[..., None, :]) / _column(spread)
-        n_axes = self.event_shape[-1]
-        return -0.5 * jnp.sum(off**2, -1) - n_axes * (jnp.log(spread) + 0.5 * _LOG_2PI)
-
-    def _join(self, first, steps):
-        """Total of the steps' log densities (..., T - 1) and those of first states (..., T)."""
-        if self.tag is None:
-            return first[..., 0] + jnp.sum(steps, -1)
-        return first[0] + jnp.sum(jnp.where(self._starts(), first[1:], steps))
-
-    def _by_step(self, x):
-        """A parameter as it goes with the steps (..., T - 1)."""
-        if self.tag is None or jnp.ndim(x) == 0:
-            return _column(x)
-        return x[1:]
-
-    def _by_first(self, x):
-        """A parameter as it goes with what `_firsts` keeps, without its axes."""
-        return _column(x) if self.tag is None else x
-
-    def _own_start(self):
-        """For each state, where its tag starts, (T,) int."""
-        if self.tag is None:
-            return jnp.zeros(self.event_shape[0], int)
-        here = jnp.arange(1, self.event_shape[0])
-        started = jnp.where(self._starts(), here, 0)
-        return jax.lax.cummax(jnp.concatenate([jnp.zeros(1, int), started]))
-
-    def _elapsed(self):
-        """Seconds since the tag's first state, (..., T)."""
-        zero = jnp.zeros_like(self.dt[..., :1])
-        time = jnp.cumsum(jnp.concatenate([zero, self.dt], axis=-1), axis=-1)
-        return time - time[..., self._own_start()]
-
-    def _broadcast(self, x):
-        return jnp.broadcast_to(x, self.batch_shape + self.event_shape)
-
-
-def _by_tag(x, tag):
-    """A parameter by tag (N,) as one by state (T,); a scalar as it is. Padding takes the last."""
-    x = jnp.asarray(x)
-    return x if x.ndim == 0 else x.at[tag].get(mode="clip")
-
-
-def _column(x):
-    """A parameter (...) as (..., 1), to go with an array over time; a scalar as it is (faster)."""
-    return x if jnp.ndim(x) == 0 else x[..., None]
-
-
-class CTCRW(_Path):
+class CTCRW(MarkovPath):
     """Path of a continuous-time correlated random walk at given times.
 
     Parameters
@@ -286,12 +155,24 @@ class CTCRW(_Path):
     sigma_vel: Any
     t05: Any
     reparametrized_params = ["dt", "sigma_vel", "t05", "centre", "spread"]
+    scale_names = ("sigma_vel", "t05")
+    turn = (1.0, -1.0)
 
     def __init__(
         self, dt, sigma_vel, t05, centre, spread=1e3, *, tag=None, start=None, validate_args=None
     ):
         scalars = {"sigma_vel": sigma_vel, "t05": t05, "spread": spread}
         self._set(dt, centre, scalars, (2,), tag, start, validate_args)
+
+    @staticmethod
+    def step(dt, sigma_vel, t05):
+        """Transition matrix and covariance (..., 2, 2) of position and velocity over dt (...)."""
+        parts = ctcrw_transition(np.asarray(dt, float), sigma_vel, ctcrw_beta(t05))
+        a12, a22, q11, q12, q22 = map(np.asarray, parts)
+        a, q = np.zeros((*a12.shape, 2, 2)), np.empty((*a12.shape, 2, 2))
+        a[..., 0, 0], a[..., 0, 1], a[..., 1, 1] = 1.0, a12, a22
+        q[..., 0, 0], q[..., 0, 1], q[..., 1, 0], q[..., 1, 1] = q11, q12, q12, q22
+        return a, q
 
     @property
     def transition(self) -> Transition:
@@ -309,10 +190,10 @@ class CTCRW(_Path):
         r2 = velocity[..., 1:, :] - a22 * velocity[..., :-1, :] - l21[..., None] * r1
         r2 = r2 / l22[..., None]
         n_axes = self.event_shape[-1]
-        steps = -0.5 * jnp.sum(r1**2 + r2**2, -1) - n_axes * (jnp.log(l11 * l22) + _LOG_2PI)
+        steps = -0.5 * jnp.sum(r1**2 + r2**2, -1) - n_axes * (jnp.log(l11 * l22) + LOG_2PI)
         sd = self._by_first(self.sigma_vel)
-        v0 = self._firsts(velocity) / _column(sd)
-        at_rest = -0.5 * jnp.sum(v0**2, -1) - n_axes * (jnp.log(sd) + 0.5 * _LOG_2PI)
+        v0 = self._firsts(velocity) / column(sd)
+        at_rest = -0.5 * jnp.sum(v0**2, -1) - n_axes * (jnp.log(sd) + 0.5 * LOG_2PI)
         return self._join(self._place(position) + at_rest, steps)
 
     def _path(self, noise: Float[Array, "... time 2 axis"], firsts):
@@ -320,9 +201,9 @@ class CTCRW(_Path):
         factor = (transition.a12, transition.a22, *_step_factor(transition))
         steps = [jnp.moveaxis(jnp.asarray(x)[..., None], -2, 0) for x in factor]
         if firsts is None:
-            firsts = self.centre[..., None, :] + _column(_column(self.spread)) * noise[..., 0, :]
+            firsts = self.centre[..., None, :] + column(column(self.spread)) * noise[..., 0, :]
         sd = self._by_first(self.sigma_vel)
-        rest = jnp.broadcast_to(_column(sd), noise[..., 1, :].shape) * noise[..., 1, :]
+        rest = jnp.broadcast_to(column(sd), noise[..., 1, :].shape) * noise[..., 1, :]
         start = self._own_start() == jnp.arange(self.event_shape[0])
 
         def step(state, inputs):
@@ -358,11 +239,11 @@ class CTCRW(_Path):
         # 2 (x - 1 + e^-x) as a sum of two positive terms: no cancellation
         moved = stationary / beta**2 * (_position_variance(x) + jnp.expm1(-x) ** 2)
         position = self._first_law().variance[..., None, :] + moved[..., None]
-        still = jnp.broadcast_to(_column(stationary), position.shape)
+        still = jnp.broadcast_to(column(stationary), position.shape)
         return self._broadcast(jnp.stack([position, still], axis=-2))
 
 
-class Brownian(_Path):
+class Brownian(MarkovPath):
     """Path of Brownian motion (a random walk) at given times.
 
     Parameters
@@ -394,10 +275,18 @@ class Brownian(_Path):
     support: Any = constraints.independent(constraints.real, 2)
     sigma: Any
     reparametrized_params = ["dt", "sigma", "centre", "spread"]
+    scale_names = ("sigma",)
+    turn = (1.0,)
 
     def __init__(self, dt, sigma, centre, spread=1e3, *, tag=None, start=None, validate_args=None):
         scalars = {"sigma": sigma, "spread": spread}
         self._set(dt, centre, scalars, (), tag, start, validate_args)
+
+    @staticmethod
+    def step(dt, sigma):
+        """Transition matrix and covariance (..., 1, 1) over dt (...)."""
+        q = np.asarray(sigma**2 * np.asarray(dt, float))
+        return np.ones((*q.shape, 1, 1)), q[..., None, None]
 
     def _step_sd(self):
         return self._by_step(self.sigma) * jnp.sqrt(self.dt)
@@ -406,12 +295,12 @@ class Brownian(_Path):
         scale = self._step_sd()
         steps = (value[..., 1:, :] - value[..., :-1, :]) / scale[..., None]
         n_axes = self.event_shape[-1]
-        steps = -0.5 * jnp.sum(steps**2, -1) - n_axes * (jnp.log(scale) + 0.5 * _LOG_2PI)
+        steps = -0.5 * jnp.sum(steps**2, -1) - n_axes * (jnp.log(scale) + 0.5 * LOG_2PI)
         return self._join(self._place(value), steps)
 
     def _path(self, noise: Float[Array, "... time axis"], firsts):
         if firsts is None:
-            firsts = self.centre[..., None, :] + _column(_column(self.spread)) * noise
+            firsts = self.centre[..., None, :] + column(column(self.spread)) * noise
         steps = noise[..., 1:, :] * self._step_sd()[..., None]
         moved = jnp.cumsum(jnp.concatenate([jnp.zeros_like(steps[..., :1, :]), steps], -2), -2)
         own = self._own_start()

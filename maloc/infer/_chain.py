@@ -86,6 +86,14 @@ class ChainFactor:
             out[k] += carry[k].T @ out[k + 1] @ carry[k]
         return out
 
+    def neighbours(self, covariances: np.ndarray) -> np.ndarray:
+        """Sub-diagonal blocks of H^-1, (T - 1, d, d): state t + 1 with state t.
+
+        ``covariances`` are the diagonal ones; H^-1 L is upper triangular, so a column of L tells.
+        """
+        diagonal, below = self._blocks()
+        return -covariances[1:] @ below @ np.linalg.inv(diagonal[:-1])
+
     def doubled(self, most: int = 16, tol: float = 1e-3) -> tuple[np.ndarray, np.ndarray]:
         """L^-T as a product of few shifts: root (T, d, d) and powers (J, T, d, d).
 

@@ -14,7 +14,8 @@ import numpy as np
 from maloc import signal
 from maloc.data._encounter_gaps import Silence, find_gaps, most_missed
 from maloc.data.encounters import EncounterHistory
-from maloc.infer._bridge import bridge
+from maloc.infer._bridge import draw
+from maloc.infer.predict import path_draws
 from maloc.infer.result import Fit
 
 if TYPE_CHECKING:
@@ -242,10 +243,7 @@ def _placed(
 ) -> dict[str, np.ndarray] | None:
     """Rows of the missed pings, as many in each gap as are most probable."""
     rng = np.random.default_rng(seed)
-    draws, _ = flat_draws(fit)
-    time = np.asarray(fit.args[0].time)[: fit.n_states]
-    tags = np.asarray(fit.args[0].tag)[: fit.n_states]
-    scale = {k: draws[k] for k in ("sigma_vel", "t05", "sigma_step") if k in draws}
+    paths = {tag: path_draws(fit, tag) for tag in {gap.tag for gap in counted.gaps}}
     parts = []
     for g, gap in enumerate(counted.gaps):
         n = int(counted.pmf[g].argmax())
@@ -257,22 +255,13 @@ def _placed(
             at = np.tile(gap.duration * np.arange(1, n + 1) / (n + 1), (len(mine), 1))
         else:
             at = np.array([counted.times[d][g] for d in mine])
-        which, at = counted.draws[mine], gap.start + at
-        states = np.flatnonzero(tags == gap.tag)
+        at = gap.start + at
+        places = draw(rng, paths[gap.tag].take(counted.draws[mine]), at)[:, :, 0]
         for i in range(n):
-            place = _at(rng, draws["track"][which], time, states, at[:, i], which, scale)
+            place = places[:, i]
             low, high = np.quantile(place, [0.025, 0.975], axis=0)
             row = (gap.tag, at[:, i].mean(), place.mean(axis=0), np.cov(place.T), low, high, 0)
             parts.append(row)
     if not parts:
         return None
     return _columns(*(np.array(column) for column in zip(*parts, strict=True)))
-
-
-def _at(rng, track, time, states, at, which, scale) -> np.ndarray:
-    """Positions (D, 2) at one time (D,) in each draw, between the states around it."""
-    after = np.clip(np.searchsorted(time[states], at, side="right"), 1, len(states) - 1)
-    pair = np.stack([states[after - 1], states[after]], axis=1)
-    ends = track[np.arange(len(at))[:, None], pair]
-    mine = {k: v[which] for k, v in scale.items()}
-    return bridge(rng, ends, time[pair], 0, at[:, None], mine)[:, 0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from maloc.data.model_data import ToaData
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
 from maloc.infer.marginal import MarginalFit
+
+if TYPE_CHECKING:
+    from maloc.infer.predict import Prediction, TrackDraws
 
 __all__ = ["Fit", "LaplaceFit", "SampledFit"]
 
@@ -94,6 +97,20 @@ class Fit:
                 for name, v in values.items()
             }
         return self._known[key]
+
+    def predict(self, times, tag: int = 0) -> Prediction:
+        """Posterior of a tag's state at any times (n,), s: see `maloc.infer.predict`."""
+        from maloc.infer.predict import predict
+
+        return predict(self, times, tag)
+
+    def sample_tracks(
+        self, times, tag: int = 0, *, n: int = 200, seed: int = 0, **known: Any
+    ) -> TrackDraws:
+        """Whole tracks of a tag drawn at ascending times (n,), s: see `maloc.infer.predict`."""
+        from maloc.infer.predict import sample_tracks
+
+        return sample_tracks(self, times, tag, n=n, seed=seed, **known)
 
     def _unpadded(self, value: np.ndarray, length: int) -> np.ndarray:
         if value.ndim > 2 and value.shape[2] == length:

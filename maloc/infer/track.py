@@ -14,7 +14,8 @@ import numpy as np
 from maloc import signal
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import FitError
-from maloc.infer._bridge import bridge
+from maloc.infer._bridge import draw
+from maloc.infer.predict import path_draws
 from maloc.infer.result import Fit
 
 if TYPE_CHECKING:
@@ -89,16 +90,13 @@ def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | N
     gaps = _gaps(toa)
     if not gaps:
         return None
-    draws = fit.draws()
-    track = draws["track"].reshape(-1, *draws["track"].shape[2:])
-    keep = np.linspace(0, len(track) - 1, min(len(track), _DRAWS)).astype(int)
-    track = track[keep]
-    emission = draws["emission_time"].reshape(-1, fit.n_states)[keep]
-    scale = {k: draws[k].ravel()[keep] for k in ("sigma_vel", "t05", "sigma_step") if k in draws}
+    path = path_draws(fit)
+    keep = np.linspace(0, len(path.clock) - 1, min(len(path.clock), _DRAWS)).astype(int)
+    path = path.take(keep)
     parts = []
     for k, n, schedule in gaps:
-        times = _times(rng, emission, k, n, schedule, len(keep))
-        places = bridge(rng, track, emission, k, times, scale)  # (draw, n, 2)
+        times = _times(rng, path.clock, k, n, schedule, len(keep))
+        places = draw(rng, path, times)[:, :, 0]  # (draw, n, 2)
         for i in range(n):
             place = places[:, i]
             low, high = np.quantile(place, [0.025, 0.975], axis=0)

@@ -8,7 +8,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from maloc.infer._bridge import bridge
+from maloc.infer._bridge import PathDraws, between, draw
+from maloc.movement import CTCRW, OU, Brownian
 from tests import oracles
 
 SIGMA, T05 = 0.4, 90.0
@@ -19,94 +20,137 @@ CLOCK = np.array([0.0, 31.0, 74.0])
 class OneAtATime:
     """Standard normals of which draw 0 gets zeros, and draw i + 1 a one at the i-th place."""
 
-    def __init__(self):
-        self.seen = 0
-
     def standard_normal(self, shape):
-        draws, order, _ = shape
-        out = np.zeros(shape)
-        for o in range(order):
-            out[1 + self.seen + o, o] = 1.0
-        self.seen += order
-        return out
+        draws, n, order, axes = shape
+        out = np.zeros((draws, n * order, axes))
+        out[np.arange(1, draws), np.arange(draws - 1)] = 1.0
+        return out.reshape(shape)
 
 
-def moments(track, k, times, scale):
-    """Mean (n, A) and covariance (n, n) of one axis, from as many draws as there are normals."""
-    order = track.shape[1] if "sigma_vel" in scale else 1
-    draws = 1 + order * len(times)
+def paths(draws, law, state, scale, home=None):
+    """The same path in every draw."""
 
     def repeat(a):
-        return np.repeat(np.asarray(a)[None], draws, axis=0)
+        return np.repeat(np.asarray(a, float)[None], draws, axis=0)
 
-    out = bridge(
-        OneAtATime(),  # pyright: ignore[reportArgumentType]
-        repeat(track),
-        repeat(CLOCK),
-        k,
-        repeat(times),
-        {name: np.full(draws, value) for name, value in scale.items()},
+    scale = {name: np.full(draws, value) for name, value in scale.items()}
+    return PathDraws(
+        law, scale, repeat(CLOCK), repeat(state), None if home is None else repeat(home)
     )
-    assert out.shape == (draws, len(times), 2)
-    root = out[1:] - out[0]
+
+
+def moments(law, state, times, scale, home=None):
+    """Mean (n, order, A) and covariance (n order, n order) of one axis, from as many draws."""
+    order = state.shape[1]
+    draws = 1 + order * len(times)
+    path = paths(draws, law, state, scale, home)
+    out = draw(OneAtATime(), path, np.repeat(np.asarray(times)[None], draws, 0))  # pyright: ignore
+    root = (out[1:] - out[0]).reshape(draws - 1, -1, 2)
     first, second = (np.einsum("di,dj->ij", root[..., a], root[..., a]) for a in (0, 1))
     np.testing.assert_allclose(first, second, atol=1e-12)
+    # what is said of each time alone is what the draws' joint law says of it
+    found, mean = between(path.take([0]), np.asarray(times)[None])
+    np.testing.assert_allclose(mean[0], out[0], rtol=1e-10, atol=1e-10)
+    for i in range(len(times)):
+        part = first[i * order : (i + 1) * order, i * order : (i + 1) * order]
+        np.testing.assert_allclose(found.variance[0, i], part, rtol=1e-9, atol=1e-13)
     return out[0], first
 
 
+def check(joint, mean, covariance, state, times, order, digits, home=(0.0, 0.0)):
+    """Against a dense joint normal of (all positions, all velocities) at states and times."""
+    every = np.sort(np.concatenate([CLOCK, times]))
+    places = np.searchsorted(every, CLOCK)
+    at = [len(every) * o + p for o in range(order) for p in places]
+    rest = [i for i in range(order * len(every)) if i not in at]
+    pick = [
+        rest.index(len(every) * o + int(np.searchsorted(every, t)))
+        for t in times
+        for o in range(order)
+    ]
+    for axis in range(2):
+        values = (state[:, :, axis] - np.array([home[axis], 0.0])[:order]).T.ravel()
+        dense_mean, dense = oracles.conditional(joint(every), at, values, digits=digits)
+        shift = np.tile(np.array([home[axis], 0.0])[:order], len(times))
+        got = mean[:, :, axis].ravel()
+        np.testing.assert_allclose(got, dense_mean[pick] + shift, rtol=1e-9, atol=1e-9)
+        sd = np.sqrt(np.diag(dense[np.ix_(pick, pick)]))
+        scale = np.outer(sd, sd)
+        np.testing.assert_allclose(
+            covariance / scale, dense[np.ix_(pick, pick)] / scale, rtol=0, atol=1e-9
+        )
+
+
 CASES = {
-    "between": (1, [40.0, 55.5, 73.0]),
-    "one between": (0, [12.0]),
-    "before": (-1, [-50.0, -31.0, -2.0]),
-    "after": (2, [75.0, 120.0, 400.0]),
+    "between": [40.0, 55.5, 73.0],
+    "one between": [12.0],
+    "before": [-50.0, -31.0, -2.0],
+    "after": [75.0, 120.0, 400.0],
 }
+
+
+# between them all at once: draws take each time with those around it
+CASES["everywhere"] = [t for times in list(CASES.values()) for t in times]
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_ctcrw(case):
-    k, times = CASES[case]
+    times = sorted(CASES[case])
     rng = np.random.default_rng(0)
-    track = np.stack([rng.normal(0, 20, (3, 2)), rng.normal(0, 0.4, (3, 2))], axis=1)  # (T, 2, A)
-    mean, covariance = moments(track, k, times, {"sigma_vel": SIGMA, "t05": T05})
-    every = np.sort(np.concatenate([CLOCK, times]))
-    joint = oracles.ctcrw_covariance(every, SIGMA, mpmath.mpf(BETA), 1e9, digits=60)
-    places = np.searchsorted(every, CLOCK)
-    at = list(places) + list(len(every) + places)
-    wanted = [int(np.searchsorted(every, t)) for t in times]
-    rest = [i for i in range(2 * len(every)) if i not in at]
-    pick = [rest.index(i) for i in wanted]
-    for axis in range(2):
-        values = np.concatenate([track[:, 0, axis], track[:, 1, axis]])
-        dense_mean, dense = oracles.conditional(joint, at, values, digits=60)
-        np.testing.assert_allclose(mean[:, axis], dense_mean[pick], rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(covariance, dense[np.ix_(pick, pick)], rtol=1e-6, atol=1e-9)
+    state = np.stack([rng.normal(0, 20, (3, 2)), rng.normal(0, 0.4, (3, 2))], axis=1)  # (T, 2, A)
+    mean, covariance = moments(CTCRW, state, times, {"sigma_vel": SIGMA, "t05": T05})
+
+    def joint(every):  # an open start
+        return oracles.ctcrw_covariance(every, SIGMA, mpmath.mpf(BETA), 1e12, digits=60)
+
+    check(joint, mean, covariance, state, times, 2, 60)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_brownian(case):
-    k, times = CASES[case]
-    track = np.random.default_rng(1).normal(0, 20, (3, 2))
-    mean, covariance = moments(track, k, times, {"sigma_step": 0.7})
-    every = np.sort(np.concatenate([CLOCK, times]))
-    moved = oracles.brownian_covariance(every, 0.7, 0.0)
-    with mpmath.workdps(50):
-        joint = mpmath.matrix(moved.tolist()) + mpmath.mpf(10) ** 18  # an open start
-    at = list(np.searchsorted(every, CLOCK))
-    rest = [i for i in range(len(every)) if i not in at]
-    pick = [rest.index(int(np.searchsorted(every, t))) for t in times]
-    for axis in range(2):
-        dense_mean, dense = oracles.conditional(joint, at, track[:, axis])
-        np.testing.assert_allclose(mean[:, axis], dense_mean[pick], rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(covariance, dense[np.ix_(pick, pick)], rtol=1e-6, atol=1e-9)
+    times = sorted(CASES[case])
+    state = np.random.default_rng(1).normal(0, 20, (3, 1, 2))
+    mean, covariance = moments(Brownian, state, times, {"sigma": 0.7})
+
+    def joint(every):
+        moved = oracles.brownian_covariance(every, 0.7, 0.0)
+        with mpmath.workdps(60):
+            return mpmath.matrix(moved.tolist()) + mpmath.mpf(10) ** 24  # an open start
+
+    check(joint, mean, covariance, state, times, 1, 60)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_home_range(case):
+    times, home = sorted(CASES[case]), (300.0, -40.0)
+    state = np.random.default_rng(2).normal(0, 20, (3, 1, 2)) + np.array(home)
+    mean, covariance = moments(OU, state, times, {"sd": 25.0, "t05": T05}, home)
+
+    def joint(every):
+        away = np.abs(np.subtract.outer(every, every))
+        return mpmath.matrix((25.0**2 * 0.05 ** (away / T05)).tolist())
+
+    check(joint, mean, covariance, state, times, 1, 50, home)
+
+
+def test_at_a_state_it_is_the_state():
+    state = np.random.default_rng(3).normal(0, 20, (3, 2, 2))
+    path = paths(2, CTCRW, state, {"sigma_vel": SIGMA, "t05": T05})
+    times = np.tile(CLOCK, (2, 1))
+    out = draw(np.random.default_rng(0), path, times)
+    np.testing.assert_allclose(out, path.state, rtol=1e-12)
+    np.testing.assert_allclose(between(path, times)[0].variance, 0.0, atol=1e-12)
 
 
 def test_each_draw_has_its_own_clock_and_scale():
     """A draw that moves faster, or has another clock, is not bridged with its neighbour's."""
     rng = np.random.default_rng(2)
-    track = np.zeros((4000, 2, 2, 2))
-    clock = np.tile([0.0, 60.0], (4000, 1))
+    clock = np.where(np.arange(4000)[:, None] % 2 == 0, [[0.0, 60.0]], [[20.0, 80.0]])
     sigma = np.where(np.arange(4000) < 2000, 0.1, 0.3)
     scale = {"sigma_vel": sigma, "t05": np.full(4000, T05)}
-    out = bridge(rng, track, clock, 0, np.full((4000, 1), 30.0), scale)
+    path = PathDraws(CTCRW, scale, clock, np.zeros((4000, 2, 2, 2)))
+    out = draw(rng, path, clock[:, :1] + 30.0)[:, 0, 0]
     slow, fast = out[:2000].std(), out[2000:].std()
     np.testing.assert_allclose(fast / slow, 3.0, rtol=0.1)  # 4 standard errors of a ratio of sds
+    # half-way between in either clock
+    np.testing.assert_allclose(out[::2].std() / out[1::2].std(), 1.0, rtol=0.1)
