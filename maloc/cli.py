@@ -211,7 +211,8 @@ def track(
         typer.Option(help="Arrival times, which receivers heard each ping, or both at once."),
     ] = "toa",
     movement: Annotated[
-        Literal["ctcrw", "rw"], typer.Option(help="Correlated or plain random walk.")
+        Literal["ctcrw", "rw", "ou"],
+        typer.Option(help="Correlated or plain random walk, or around a home range (ou)."),
     ] = "ctcrw",
     error: Annotated[
         Literal["ddetect", "gaussian", "student"], typer.Option(help="Law of arrival errors.")

@@ -15,7 +15,7 @@ import numpyro.distributions as dist
 from maloc._jax import jax, jnp
 from maloc.detection import KINDS, encounters, linear_shift
 from maloc.drift import GaussMarkov
-from maloc.movement import CTCRW, Brownian
+from maloc.movement import CTCRW, OU, Brownian
 from maloc.statespace import SoftBox
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "MissedPings",
     "detection",
     "encountered",
+    "home_range",
     "placed",
     "range_drift",
     "refuse_unknown",
@@ -31,7 +32,8 @@ __all__ = [
 ]
 
 UNITS = {"scale": "m", "sigma_step": "m/s^.5", "sigma_vel": "m/s", "t05": "s"}
-MOVEMENT = ("rw", "ctcrw")
+UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s"}
+MOVEMENT = ("rw", "ctcrw", "ou")
 
 
 def refuse_unknown(movement: str | None, detection: str) -> None:
@@ -59,6 +61,12 @@ def track(data, movement: str, hierarchical: bool):
         median = 0.2 * data.spacing / jnp.sqrt(data.interval)
         sigma = _by_tag("sigma_step", median, 1.5, data.n_tags, hierarchical)
         position = numpyro.sample("track", Brownian(data.dt, sigma, start.mean, **how))
+    elif movement == "ou":
+        half = 0.5 * (data.high - data.low)
+        sd = _by_tag("home_sd", data.spacing, 1.0, data.n_tags, hierarchical)
+        t05 = _by_tag("home_t05", 100.0 * data.interval, 1.5, data.n_tags, hierarchical)
+        law = home_range(data.dt, sd, t05, start.mean, half, data.tag, data.n_tags)
+        position = numpyro.sample("track", law)
     else:
         median = 0.1 * data.spacing / data.interval
         sigma = _by_tag("sigma_vel", median, 1.5, data.n_tags, hierarchical)
@@ -66,6 +74,16 @@ def track(data, movement: str, hierarchical: bool):
         position = numpyro.sample("track", CTCRW(data.dt, sigma, t05, start.mean, **how))[:, 0]
     placed(data, position)
     return position
+
+
+def home_range(dt, sd, t05, middle, reach, tag=None, n_tags: int = 1):
+    """Law of a path around a home; each tag has one of its own, site ``home`` (A,) or (N, A), m."""
+    shape = jnp.shape(middle) if tag is None else (n_tags, *jnp.shape(middle))
+    away = dist.Normal(0.0, 1.0).expand(shape).to_event(len(shape))
+    middle, reach = (jnp.broadcast_to(v, shape[-1:]) for v in (middle, reach))
+    lead = (None,) * (len(shape) - 1)
+    home = middle[lead] + reach[lead] * numpyro.sample("home_offset", away)
+    return OU(dt, sd, t05, numpyro.deterministic("home", home), tag=tag)
 
 
 def placed(data, position) -> None:

@@ -9,6 +9,7 @@ import numpyro.distributions as dist
 from maloc._jax import jax, jnp
 from maloc.arrival import DDetect, Gaussian, Student
 from maloc.drift import GaussMarkov, IntervalDrift, interval_step
+from maloc.models._parts import home_range
 from maloc.movement import CTCRW, Brownian
 
 __all__ = [
@@ -23,7 +24,7 @@ __all__ = [
 ]
 
 UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s"}
-UNITS |= {"interval_sd": "s", "sound_speed": "m/s"}
+UNITS |= {"interval_sd": "s", "sound_speed": "m/s", "home": "m", "home_sd": "m", "home_t05": "s"}
 _OFF = 0.02  # relative sd of a tag's own interval about the stated one
 _JITTER = 0.2  # ms; how well a tag keeps its beat from one ping to the next
 _EDGE = 0.02  # s; width of the soft edges of a random interval
@@ -36,13 +37,18 @@ def refuse_unknown(**options: tuple[object, tuple]) -> None:
             raise ValueError(f"{option!r} is none of {', '.join(map(str, known))}")
 
 
-def path(data, movement: str, tag=None):
+def path(data, movement: str, tag=None, n_tags: int = 1):
     """Sites of the path; positions (T, 2)."""
     if movement == "ctcrw":
         sigma_vel = numpyro.sample("sigma_vel", dist.LogNormal(jnp.log(0.3), 1.0))
         t05 = numpyro.sample("t05", dist.LogNormal(jnp.log(260.0), 1.5))
         law = CTCRW(data.dt, sigma_vel, t05, data.centre, data.spread, tag=tag)
         return numpyro.sample("track", law)[:, 0]
+    if movement == "ou":
+        sd = numpyro.sample("home_sd", dist.LogNormal(jnp.log(0.1 * data.spread), 1.0))
+        t05 = numpyro.sample("home_t05", dist.LogNormal(jnp.log(3600.0), 1.5))
+        law = home_range(data.dt, sd, t05, data.centre, data.spread, tag, n_tags)
+        return numpyro.sample("track", law)
     sigma_step = numpyro.sample("sigma_step", dist.LogNormal(0.0, 1.5))
     law = Brownian(data.dt, sigma_step, data.centre, data.spread, tag=tag)
     return numpyro.sample("track", law)

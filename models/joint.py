@@ -36,8 +36,8 @@ def joint(
     ----------
     history : ArrivalTimes, ArrivalHistory or JointData
         Arrival times and encounters of one tag or several, see `maloc.arrival_history`.
-    movement : {"ctcrw", "rw"}
-        Continuous-time correlated random walk, or Brownian motion.
+    movement : {"ctcrw", "rw", "ou"}
+        Continuous-time correlated random walk, Brownian motion, or a home range (each tag its own).
     arrivals : {"ddetect", "gaussian", "student", None}
         Arrival error; None: arrival times say nothing.
     detection : {"halfnormal", "logistic", "hazard", None}
@@ -73,7 +73,7 @@ def joint(
     (2020) Mov. Ecol. 8: 15. Their union, and the summing out of missed pings, are this package's.
     """
     _toa.refuse_unknown(
-        movement=(movement, ("ctcrw", "rw")),
+        movement=(movement, ("ctcrw", "rw", "ou")),
         arrivals=(arrivals, ("ddetect", "gaussian", "student", None)),
         detection=(detection, (*KINDS, None)),
         sound_speed=(sound_speed, ("auto", "given", "estimated", "drifting")),
@@ -84,7 +84,7 @@ def joint(
     if arrivals is None:
         position = _parts.track(data.encounters, movement, False)
     else:
-        position = _toa.path(data, movement, data.tag)
+        position = _toa.path(data, movement, data.tag, data.encounters.n_tags)
         numpyro.deterministic("position", position)
         emission = _toa.emission(data)
         ratio = _toa.speed_ratio(data, sound_speed)

@@ -31,8 +31,8 @@ def known_interval(
     ----------
     encounters : EncounterHistory or EncounterData
         Encounter histories of one or more tags, with a row for every ping sent, heard or not.
-    movement : {"rw", "ctcrw"}
-        Brownian motion, as in the paper, or a continuous-time correlated random walk.
+    movement : {"rw", "ctcrw", "ou"}
+        Brownian motion, as in the paper, a continuous-time correlated random walk, or a home range.
     detection : {"halfnormal", "logistic", "hazard"}
         Detection function of distance.
     loss : bool

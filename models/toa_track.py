@@ -28,8 +28,9 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     ----------
     toa : ArrivalTimes or ToaData
         Arrival times of one tag.
-    movement : {"ctcrw", "rw"}
-        Continuous-time correlated random walk, or Brownian motion.
+    movement : {"ctcrw", "rw", "ou"}
+        Continuous-time correlated random walk, Brownian motion, or Ornstein-Uhlenbeck motion around
+        a home: sites ``home`` (m), ``home_sd`` (m), ``home_t05`` (s).
     error : {"ddetect", "gaussian", "student"}
         Arrival error.
     sound_speed : {"auto", "given", "estimated"}
@@ -48,7 +49,7 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     ``sigma`` (m) is the direct arrivals' error in time, times c.
     """
     _toa.refuse_unknown(
-        movement=(movement, ("ctcrw", "rw")),
+        movement=(movement, ("ctcrw", "rw", "ou")),
         error=(error, ("ddetect", "gaussian", "student")),
         sound_speed=(sound_speed, ("auto", "given", "estimated")),
     )

@@ -33,8 +33,8 @@ def unknown_interval(
     ----------
     encounters : EncounterHistory or EncounterData
         Encounter histories of one or more tags, with a schedule of their burst intervals.
-    movement : {"rw", "ctcrw"}
-        Brownian motion, as in the paper, or a continuous-time correlated random walk.
+    movement : {"rw", "ctcrw", "ou"}
+        Brownian motion, as in the paper, a continuous-time correlated random walk, or a home range.
     detection : {"halfnormal", "logistic", "hazard"}
         Detection function of distance.
     loss : bool

@@ -6,6 +6,7 @@ from maloc.infer.criticism import InputCheck, InputChecks, check_inputs
 from maloc.infer.laplace import laplace
 from maloc.infer.loo import loo_by_ping
 from maloc.infer.nuts import nuts
+from maloc.infer.predict import Prediction, TrackDraws
 from maloc.infer.result import Fit, LaplaceFit, SampledFit
 from maloc.infer.svi import SviFit, svi
 
@@ -14,8 +15,10 @@ __all__ = [
     "InputCheck",
     "InputChecks",
     "LaplaceFit",
+    "Prediction",
     "SampledFit",
     "SviFit",
+    "TrackDraws",
     "check_inputs",
     "laplace",
     "loo_by_ping",

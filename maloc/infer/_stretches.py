@@ -57,13 +57,16 @@ def leaps(data: ToaData | JointData, xy: np.ndarray, values: dict) -> list[tuple
     xy : array (T, 2)
         m.
     values : dict
-        Parameters, of which ``sigma_vel`` or ``sigma_step`` tells how far a step may go.
+        Parameters, of which those of the movement tell how far a step may go.
     """
     dt, tag = np.asarray(data.dt), _tags(data)
     if "sigma_vel" in values:
         usual = float(np.max(values["sigma_vel"])) * dt
     elif "sigma_step" in values:
         usual = float(np.max(values["sigma_step"])) * np.sqrt(dt)
+    elif "home_sd" in values:
+        share = -np.expm1(2 * np.log(0.05) * dt / float(np.max(values["home_t05"])))
+        usual = float(np.max(values["home_sd"])) * np.sqrt(share)
     else:
         return []
     far = np.linalg.norm(np.diff(xy, axis=0), axis=1) > _LEAP * usual

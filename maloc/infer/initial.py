@@ -14,13 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from maloc._jax import jax
+from maloc._path import MarkovPath
 from maloc.arrival import DDetect
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer.mode import anneal, find_mode
-from maloc.movement import CTCRW, Brownian
 from maloc.statespace import SoftBox
 
 __all__ = ["initial_values", "put_positions", "repair", "stable_interval"]
@@ -118,7 +118,7 @@ def _column(cm: ChainModel, name: str) -> int | None:
 def _position_columns(cm: ChainModel) -> list[int]:
     """Columns of the flat path that hold the positions' axes."""
     for site in cm.chain:
-        if issubclass(site.law, CTCRW | Brownian | SoftBox):
+        if issubclass(site.law, MarkovPath | SoftBox):
             start = site.columns.start
             return [start + a for a in range(site.tail[-1])]
     return []
@@ -163,6 +163,8 @@ def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.nd
         if "sigma_step" in values:
             step2 = np.median(np.sum(steps**2, axis=1) / dt)
             values["sigma_step"] = np.clip(np.sqrt(step2 / 1.39), 0.02, 50.0)
+        if "home_sd" in values:
+            values["home_sd"] = np.maximum(np.std(x[valid][:, columns]), 1.0)
     return cm.flat_globals(values)
 
 

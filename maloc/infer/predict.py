@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from maloc._jax import jax, jnp
+from maloc._path import MarkovPath
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.errors import FitError, InputError
 from maloc.infer._bridge import PathDraws, between, draw, parts
 from maloc.infer._model import ChainModel, _unwrap
-from maloc.movement import CTCRW, OU, Brownian
+from maloc.movement import OU
 
 if TYPE_CHECKING:
     from maloc.infer.result import Fit, LaplaceFit
@@ -225,7 +226,7 @@ def path_draws(fit: Fit, tag: int = 0, n: int | None = None, seed: int | None = 
 
 def path_site(cm: ChainModel):
     """The site of the path that moves in continuous time."""
-    found = [s for s in cm.chain if issubclass(s.law, CTCRW | Brownian | OU)]
+    found = [s for s in cm.chain if issubclass(s.law, MarkovPath)]
     if len(found) != 1:
         raise FitError("prediction needs one path of maloc.movement: CTCRW, Brownian or OU")
     return found[0]

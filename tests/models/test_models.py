@@ -39,7 +39,7 @@ OPTIONS = {
         "range_drift": (True, False),
     },
     "toa_track": {
-        "movement": ("ctcrw", "rw"),
+        "movement": ("ctcrw", "rw", "ou"),
         "error": ("ddetect", "gaussian", "student"),
         "sound_speed": ("auto", "given", "estimated"),
     },
@@ -101,6 +101,8 @@ def test_every_combination_traces(options, schedule):
     expected = {"emission": (6,), "sigma": ()}
     if options["movement"] == "ctcrw":
         expected |= {"track": (6, 2, 2), "sigma_vel": (), "t05": ()}
+    elif options["movement"] == "ou":
+        expected |= {"track": (6, 2), "home_sd": (), "home_t05": (), "home_offset": (2,)}
     else:
         expected |= {"track": (6, 2), "sigma_step": ()}
     if options["error"] == "ddetect":
