@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import nan
@@ -16,13 +17,38 @@ from maloc.data._time import NS
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
-    from maloc.data import ArrivalTimes, Detections, Receivers, Schedule
+    from maloc.data import ArrivalTimes, Detections, Receivers, Schedule, Tags
+    from maloc.data.readers._how import Clock
     from maloc.sync import ClockSync
 
-__all__ = ["Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
+__all__ = ["Reading", "Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
 
 ROW = "row in the detections as read"  # extra column that survives the synchronisation
 ROUGHLY = 1.0  # s; how well clocks agree that were brought together by the animals' own pings
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What is said of the files of detections; see `maloc.read_detections`."""
+
+    format: str | None = None
+    tz: str | None = None
+    clock: Clock | None = None
+    tag_table: Path | None = None
+
+    def tags(self) -> Tags | None:
+        """The table of tags, where one was given."""
+        from maloc.data import read_tags
+
+        return None if self.tag_table is None else read_tags(self.tag_table)
+
+    def detections(self, files: Sequence[Path]) -> Detections:
+        """Read detections, by animal where there is a table of tags."""
+        from maloc.data import read_detections
+
+        found = read_detections(*files, format=self.format, tz=self.tz, clock=self.clock)
+        tags = self.tags()
+        return found if tags is None else tags.apply(found)
 
 
 @dataclass(frozen=True)
@@ -32,6 +58,7 @@ class TrackOptions:
     detections: tuple[Path, ...] = ()
     toa: Path | None = None
     receivers: Path = Path()
+    reading: Reading = Reading()
     tags: tuple[str, ...] = ()
     sync: str = "auto"
     reference: str | None = None
@@ -77,6 +104,10 @@ class TrackOptions:
             raise InputError("--method svi goes with --model detections or joint")
         if self.start == "pmc" and self.model == "detections":
             raise InputError("--start pmc needs arrival times: not with --model detections")
+        if self.toa is not None and self.reading != Reading():
+            raise InputError(
+                "--format, --tz, --clock and --tag-table go with detections, not --toa"
+            )
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
         self.schedule()
@@ -180,10 +211,10 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
 
 
 def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
-    from maloc.data import read_detections, toa_matrix
+    from maloc.data import toa_matrix
 
     with log.stage("read"):
-        detections = read_detections(*options.detections)
+        detections = options.reading.detections(options.detections)
         log.report(detections.report)
         if not len(detections):
             raise InputError("no detections", file=", ".join(map(str, options.detections)))

@@ -86,10 +86,10 @@ def _from_toa(options: TrackOptions, receivers: Receivers, log: Log):
 
 
 def _from_detections(options: TrackOptions, receivers: Receivers, log: Log):
-    from maloc.data import encounter_history, read_detections
+    from maloc.data import encounter_history
 
     with log.stage("read"):
-        detections = read_detections(*options.detections)
+        detections = options.reading.detections(options.detections)
         _say(detections.report, log)
         if not len(detections):
             raise InputError("no detections", file=", ".join(map(str, options.detections)))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._folder import check_free, output_folder
-from maloc._load import TrackOptions, load
+from maloc._load import Reading, TrackOptions, load
 from maloc._log import Log
 from maloc._mirror import Line, mirror_line
 from maloc.errors import InputError
@@ -161,6 +161,7 @@ def run_sync(
     crs: str | None = None,
     seed: int = 0,
     *,
+    reading: Reading | None = None,
     force: bool = False,
     quiet: bool = False,
 ) -> ClockSync:
@@ -177,13 +178,15 @@ def run_sync(
     log = Log(quiet)
     with log.listening():
         from maloc import _output
-        from maloc.data import read_detections, read_receivers
+        from maloc.data import read_receivers
         from maloc.sync import fit
+
+        reading = reading or Reading()
 
         with log.stage("read"):
             table = read_receivers(receivers, crs=crs)
             log.report(table.report)
-            raw = read_detections(*detections)
+            raw = reading.detections(detections)
             log.report(raw.report)
         with log.stage("sync"):
             sync = fit(raw, table, sound_speed=sound_speed, reference=reference)
@@ -204,6 +207,7 @@ def run_sync(
                         "reference": reference,
                         "sound_speed": sound_speed,
                         "crs": crs,
+                        **{k: v for k, v in vars(reading).items() if v is not None},
                     },
                     "read": {
                         "detections": len(raw),

@@ -74,6 +74,22 @@ Crs = Annotated[
     typer.Option("--crs", help="Frame of the receivers' x, y (EPSG:n), or the one to project to."),
 ]
 
+Format = Annotated[
+    str | None,
+    typer.Option("--format", metavar="NAME", help="Format of the detections: vue, vdat, otn, ..."),
+]
+Zone = Annotated[
+    str | None, typer.Option("--tz", metavar="ZONE", help="Zone of local times: Europe/Copenhagen.")
+]
+Clock = Annotated[
+    Literal["device", "corrected", "linear"] | None,
+    typer.Option("--clock", help="Which of an export's two times; linear corrects the device's."),
+]
+TagTable = Annotated[
+    Path | None,
+    typer.Option("--tag-table", help="Table of codes: their animals, sensors, burst limits."),
+]
+
 
 @app.callback()
 def _root(
@@ -92,8 +108,14 @@ def _root(
 @app.command()
 @_explained
 def check(
-    files: Annotated[list[Path], typer.Argument(help="Files of detections, receivers, or TOA.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="Files of detections, events, receivers, tags, positions, or TOA."),
+    ],
     receivers: Annotated[Path | None, typer.Option(help="The table of receivers.")] = None,
+    format: Format = None,
+    tz: Zone = None,
+    clock: Clock = None,
 ) -> None:
     """Say what files hold: format, span, tags, receivers, and every problem found.
 
@@ -101,7 +123,7 @@ def check(
     """
     from maloc.data.check import check as check_files
 
-    found = check_files(files, receivers)
+    found = check_files(files, receivers, tz, format=format, clock=clock)
     typer.echo(str(found))
     if not found.ok:
         first = found.errors[0]
@@ -166,6 +188,9 @@ def sync(
         float | None, typer.Option(min=1300, max=1700, help="m/s; estimated when left out.")
     ] = None,
     crs: Crs = None,
+    format: Format = None,
+    tz: Zone = None,
+    clock: Clock = None,
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
@@ -175,11 +200,12 @@ def sync(
     Writes sync.nc, detections_synced.parquet, receivers_fitted.csv, residuals.csv, figures and
     summary.json.
     """
+    from maloc._load import Reading
     from maloc._run import run_sync
 
-    found = run_sync(
-        detections, receivers, out, reference, sound_speed, crs, seed, force=force, quiet=quiet
-    )
+    reading = Reading(format, tz, clock)
+    how: dict[str, Any] = {"reading": reading, "force": force, "quiet": quiet}
+    found = run_sync(detections, receivers, out, reference, sound_speed, crs, seed, **how)
     if not quiet:
         typer.echo(f"{found.summary()}\nwritten to {out}")
 
@@ -260,6 +286,10 @@ def track(
         str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
     ] = "",
     crs: Crs = None,
+    format: Format = None,
+    tz: Zone = None,
+    clock: Clock = None,
+    tag_table: TagTable = None,
     draws: Annotated[int, typer.Option(min=1, help="Posterior draws a chain.")] = 1000,
     chains: Annotated[int, typer.Option(min=2, help="Chains of a sampler.")] = 2,
     seed: Seed = 0,
@@ -272,13 +302,14 @@ def track(
     summary.json; where missed pings are summed out (--model detections or joint, with an interval),
     missed.csv too. --model detections needs neither synchronised clocks nor fractions of a second.
     """
-    from maloc._load import TrackOptions
+    from maloc._load import Reading, TrackOptions
     from maloc._run import run_track
 
     options = TrackOptions(
         detections=tuple(detections or ()),
         toa=toa,
         receivers=receivers,
+        reading=Reading(format, tz, clock, tag_table),
         tags=tuple(tag or ()),
         sync=sync,
         reference=reference,
@@ -483,6 +514,10 @@ def points(
         str, typer.Option(metavar="A,B", help="Columns of the TOA matrix to leave alone.")
     ] = "",
     crs: Crs = None,
+    format: Format = None,
+    tz: Zone = None,
+    clock: Clock = None,
+    tag_table: TagTable = None,
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
@@ -491,13 +526,14 @@ def points(
 
     Writes points.csv, arrivals.csv, map.png, summary.json.
     """
-    from maloc._load import TrackOptions
+    from maloc._load import Reading, TrackOptions
     from maloc._points_run import PointsOptions, run_points
 
     source = TrackOptions(
         detections=tuple(detections or ()),
         toa=toa,
         receivers=receivers,
+        reading=Reading(format, tz, clock, tag_table),
         tags=tuple(tag or ()),
         sync=sync,
         reference=reference,
@@ -510,6 +546,59 @@ def points(
     lines = run_points(asked, out, force=force, quiet=quiet)
     if not quiet:
         typer.echo("\n".join([*lines, f"written to {out}"]))
+
+
+@app.command()
+@_explained
+def predict(
+    run: Annotated[Path, typer.Argument(help="Folder that maloc track wrote.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    every: Annotated[float, typer.Option(metavar="S", help="Seconds from one time to the next.")],
+    before: Annotated[
+        float, typer.Option(metavar="S", help="How long before a tag's first ping to begin, s.")
+    ] = 0.0,
+    after: Annotated[
+        float, typer.Option(metavar="S", help="How long after its last ping to end, s.")
+    ] = 0.0,
+    draws: Annotated[int, typer.Option(min=0, help="Whole tracks to write; 0 for none.")] = 100,
+    seed: Seed = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict tracks at regular times, by the movement model between the pings.
+
+    Writes predicted.csv, draws.parquet (whole tracks), summary.json.
+    """
+    from maloc._predict_run import run_predict
+
+    how: dict[str, Any] = {"draws": draws, "seed": seed, "force": force, "quiet": quiet}
+    lines = run_predict(run, out, every, around=(before, after), **how)
+    if not quiet:
+        typer.echo("\n".join([*lines, f"written to {out}"]))
+
+
+@app.command()
+@_explained
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder that maloc track or maloc predict wrote.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="csv, parquet, geojson, ellipses, geoparquet, gpx, movebank, crawl, imputations, "
+            "netcdf or zarr.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="File to write.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier file.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a finished run as other programs read it."""
+    from maloc._export_file import export_file
+
+    line = export_file(run, to, out, force=force)
+    if not quiet:
+        typer.echo(line)
 
 
 def main() -> None:

@@ -9,20 +9,29 @@ __all__ = [
     "ArrivalHistory",
     "ArrivalTimes",
     "CheckReport",
+    "ClockReferences",
     "Detections",
     "EncounterHistory",
+    "Events",
     "Note",
+    "Positions",
     "ReadReport",
     "Receivers",
     "Schedule",
     "SetAside",
+    "Tags",
     "arrival_history",
     "collinear",
+    "correct_clocks",
     "encounter_history",
     "match_tag",
     "read_detections",
+    "read_events",
+    "read_positions",
     "read_receivers",
+    "read_tags",
     "read_toa",
+    "sensor_values",
     "toa_matrix",
 ]
 
@@ -30,20 +39,29 @@ _HOME = {
     "ArrivalHistory": "joint_history",
     "ArrivalTimes": "arrivals",
     "CheckReport": "check",
+    "ClockReferences": "events",
     "Detections": "detections",
     "EncounterHistory": "encounters",
+    "Events": "events",
     "Note": "report",
+    "Positions": "positions",
     "ReadReport": "report",
     "Receivers": "receivers",
     "Schedule": "arrivals",
     "SetAside": "arrivals",
+    "Tags": "tags",
     "arrival_history": "joint_history",
     "collinear": "receivers",
+    "correct_clocks": "events",
     "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
     "read_detections": "readers",
+    "read_events": "readers",
+    "read_positions": "readers",
     "read_receivers": "readers",
+    "read_tags": "readers",
     "read_toa": "readers",
+    "sensor_values": "tags",
     "toa_matrix": "grouping",
 }
 
@@ -54,11 +72,21 @@ if TYPE_CHECKING:
     from maloc.data.detections import Detections
     from maloc.data.encounter_grouping import encounter_history
     from maloc.data.encounters import EncounterHistory
+    from maloc.data.events import ClockReferences, Events, correct_clocks
     from maloc.data.grouping import toa_matrix
     from maloc.data.joint_history import ArrivalHistory, arrival_history
-    from maloc.data.readers import read_detections, read_receivers, read_toa
+    from maloc.data.positions import Positions
+    from maloc.data.readers import (
+        read_detections,
+        read_events,
+        read_positions,
+        read_receivers,
+        read_tags,
+        read_toa,
+    )
     from maloc.data.receivers import Receivers, collinear
     from maloc.data.report import Note, ReadReport
+    from maloc.data.tags import Tags, sensor_values
 else:
 
     def __getattr__(name: str) -> Any:

@@ -70,6 +70,16 @@ def _shaped(out: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
     return out
 
 
+def first_of_each(*columns: np.ndarray) -> np.ndarray:
+    """Return where a row (N,) of these columns is not a repetition of an earlier one."""
+    import polars as pl
+
+    frame = pl.DataFrame(
+        {str(i): c.tolist() if c.dtype.kind in "UO" else c for i, c in enumerate(columns)}
+    )
+    return frame.select(pl.struct(pl.all()).is_first_distinct()).to_series().to_numpy()
+
+
 def frame(data: Any):
     """Return any dataframe (polars, pandas, a dict of columns) as a polars DataFrame."""
     import polars as pl

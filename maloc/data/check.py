@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc.data import _pings
 from maloc.data._time import NS, duration, iso
 from maloc.data.arrivals import ArrivalTimes
 from maloc.data.detections import Detections
-from maloc.data.grouping import ECHO_S, toa_matrix
+from maloc.data.events import ClockReferences, Events
+from maloc.data.grouping import toa_matrix
 from maloc.data.receivers import Receivers
 from maloc.data.report import Note
+from maloc.data.tags import Tags
 from maloc.errors import InputError
+
+if TYPE_CHECKING:
+    from maloc.data.readers._files import File
+    from maloc.data.readers._how import Clock, How
 
 __all__ = ["CheckReport", "FileCheck", "check"]
 
@@ -101,70 +106,135 @@ def check(
     paths: str | Path | Sequence[str | Path],
     receivers: str | Path | Receivers | None = None,
     tz: str | None = None,
+    *,
+    format: str | None = None,
+    clock: Clock | None = None,
 ) -> CheckReport:
     """Read files of any known kind and report what they are and every problem found.
 
     Parameters
     ----------
     paths : path or sequence of paths
-        Detections, receivers tables, TOA matrices, in any order.
+        Detections, receiver events, receivers and tags tables, positions, TOA matrices, in any
+        order.
     receivers : path or Receivers, optional
         The receivers table, if it is not among `paths`.
     tz : str, optional
         Zone of local times.
+    format, clock : str, optional
+        Of the detections, as for `maloc.read_detections`.
 
     Returns
     -------
     CheckReport
         Unreadable files are errors in it; nothing is raised for them.
     """
+    from maloc.data.readers._how import How
+
     paths = [paths] if isinstance(paths, str | Path) else list(paths)
     if isinstance(receivers, str | Path):
         paths, receivers = [*paths, receivers], None
-    found: dict[int, FileCheck] = {}
-    detections: list[Detections] = []
+    study = _Study(How(tz, clock), format, receivers)
+    checks: list[FileCheck | None] = []
     waiting = []
-    for i, path in enumerate(paths):
+    for path in paths:
+        for name, file in _files(path):
+            found = study.look(name, file)
+            if found is None:
+                waiting.append((len(checks), file))
+            checks.append(found)
+    for i, file in waiting:
+        checks[i] = _of_matrix(file, study.receivers)
+    return CheckReport(tuple(c for c in checks if c is not None), tuple(study.problems()))
+
+
+def _files(path: str | Path) -> list[tuple[str, File | InputError]]:
+    from maloc.data.readers._files import load_all
+
+    try:
+        found = load_all(path)
+    except InputError as e:
+        return [(str(path), e)]
+    return [(f.name, f) for f in found]
+
+
+@dataclass
+class _Study:
+    """What the files hold together, gathered file by file."""
+
+    how: How
+    format: str | None
+    receivers: Receivers | None
+    tags: Tags | None = None
+    detections: list[Detections] = field(default_factory=list)
+    events: list[Events] = field(default_factory=list)
+
+    def look(self, name: str, file: File | InputError) -> FileCheck | None:
+        """Check one file; None for a TOA matrix, which waits for the receivers."""
+        from maloc.data.readers import vdat
+        from maloc.data.readers._recognise import open_file
+
         try:
-            kind, data = _open(path, tz)
+            if isinstance(file, InputError):
+                raise file
+            found = open_file(file)
+            if found.kind == "detections" and self.format is not None:
+                found = open_file(file, self.format)
+            if found.kind == "toa":
+                return None
+            data = found.read(self.how)
+            if vdat.sniff(file.data):
+                self.events.append(vdat.read_events(file))
         except InputError as e:
-            found[i] = FileCheck(str(path), "", (), (_as_note(e, str(path)),))
-            continue
-        if kind == "toa":
-            waiting.append((i, path))
-        elif isinstance(data, Receivers):
-            receivers = data
-            found[i] = FileCheck(str(path), kind, _of_receivers(data), data.report.notes)
-        elif isinstance(data, Detections):
-            detections.append(data)
+            return FileCheck(name, "", (), (_as_note(e, name),))
+        if isinstance(data, Receivers):
+            self.receivers = data
+            return FileCheck(name, found.title, _of_receivers(data), data.report.notes)
+        if isinstance(data, Detections):
+            self.detections.append(data)
             notes = (*data.report.notes, *_odd(data))
-            found[i] = FileCheck(str(path), kind, _of_detections(data), notes)
-        else:
-            found[i] = FileCheck(str(path), kind)
-    for i, path in waiting:
-        found[i] = _of_matrix(path, receivers)
-    problems = _together(Detections.concat(detections), receivers) if detections else []
-    return CheckReport(tuple(found[i] for i in sorted(found)), tuple(problems))
+            return FileCheck(name, data.report.format, _of_detections(data), notes)
+        if isinstance(data, Events):
+            self.events.append(data)
+            kinds = f"{_counts(data.kind)}"
+            return FileCheck(name, found.title, (_plainly(data), kinds), data.report.notes)
+        if isinstance(data, Tags):
+            self.tags = data
+        return FileCheck(name, found.title, (_plainly(data),), data.report.notes)
+
+    def problems(self) -> list[Note]:
+        """What shows only when files are taken together."""
+        if not self.detections:
+            return []
+        from maloc.data.readers._merge import merge, on_asked_clock, under_one_name
+
+        references = ClockReferences.concat([e.references for e in self.events])
+        try:
+            together = merge(self.detections)
+            together = on_asked_clock(under_one_name(together), references, self.how.clock)
+        except InputError as e:
+            return [Note("error", str(e), 1)]
+        known = {n for d in self.detections for n in d.report.notes}
+        notes = [n for n in together.report.notes if n not in known]
+        limits = {} if self.tags is None else {
+            t: found for t in together.tags if (found := self.tags.limits(t))
+        }  # fmt: skip
+        notes += _screened(together, self.receivers, limits)
+        if self.receivers is not None:
+            notes += _together(together, self.receivers)
+        return notes
 
 
-def _open(path: str | Path, tz: str | None) -> tuple[str, Any]:
-    from maloc.data.readers import _recognise, atlas, toa, vue
-    from maloc.data.readers import receivers as table_of_receivers
-    from maloc.data.readers._text import load, read_table
+def _plainly(data: Any) -> str:
+    """A container's repr without its name and its count of warnings."""
+    text = repr(data).removesuffix(data.report.flag)
+    return text.partition(": ")[2] or text
 
-    if load(path)[1].startswith(atlas.MAGIC):
-        data = atlas.read_file(path)
-        return data.report.format, data
-    table = read_table(path)
-    if vue.is_events(table):
-        return "VUE receiver events CSV (clock checks and diagnostics, no detections)", None
-    is_detections = any(f.matches(table) for f in _recognise.FORMATS)
-    if not is_detections and toa.matches(table):
-        return "toa", None
-    if not is_detections and table_of_receivers.matches(table):
-        return "receivers table", table_of_receivers.receivers_from_table(table)
-    data = _recognise.recognise(table).read(table, tz)
-    return data.report.format, data
+
+def _screened(d: Detections, r: Receivers | None, limits: dict) -> list[Note]:
+    from maloc.data.prepare import clock_notes, prepare
+
+    return [*prepare(d, r, limits).notes, *clock_notes(d)]
 
 
 def _as_note(error: InputError, file: str) -> Note:
@@ -196,15 +266,16 @@ def _of_receivers(r: Receivers) -> tuple[str, ...]:
     return (repr(r).removeprefix("Receivers: ").removesuffix(r.report.flag), names)
 
 
-def _of_matrix(path: str | Path, receivers: Receivers | None) -> FileCheck:
-    from maloc.data.readers import read_toa
+def _of_matrix(file: Any, receivers: Receivers | None) -> FileCheck:
+    from maloc.data.readers._text import table_of
+    from maloc.data.readers.toa import toa_from_table
 
-    kind, name = "TOA matrix", str(path)
+    kind, name = "TOA matrix", file.name
     if receivers is None:
         note = Note("warning", "give the receivers table too, to check its columns", 1, name)
         return FileCheck(name, kind, (), (note,))
     try:
-        a: ArrivalTimes = read_toa(path, receivers)
+        a: ArrivalTimes = toa_from_table(table_of(file), receivers)
     except InputError as e:
         return FileCheck(name, kind, (), (_as_note(e, name),))
     text = repr(a).removeprefix("ArrivalTimes: ").removesuffix(a.report.flag)
@@ -224,33 +295,12 @@ def _odd(d: Detections) -> list[Note]:
         if len(tags) > 1:
             text = f"number {number} is used by {len(tags)} transmitters: {', '.join(tags)}"
             notes.append(Note("info", f"{text}; give the full id", len(tags)))
-    if len(d):
-        _, tag = np.unique(d.tag, return_inverse=True)
-        _, receiver = np.unique(d.receiver, return_inverse=True)
-        order = np.argsort(d.time, kind="stable")
-        t = (d.time[order] - d.time.min()) / NS
-        key = (tag * (receiver.max() + 1) + receiver)[order]
-        n = int((_pings.echoes(t, key, ECHO_S) >= 0).sum())
-        if n:
-            text = f"{n} second detections of a ping within {ECHO_S:g} s at one receiver (echoes)"
-            notes.append(Note("info", text, n))
     return notes
 
 
-def _together(d: Detections, r: Receivers | None) -> list[Note]:
-    notes = [n for n in d.report.notes if "more than one file" in n.text]
-    if r is None:
-        return notes
+def _together(d: Detections, r: Receivers) -> list[Note]:
+    notes = []
     deployment = r.deployment_of(d.receiver, d.time)
-    for name in d.receivers:
-        mine = d.receiver == name
-        n = int((deployment[mine] < 0).sum())
-        if not r.knows(name):
-            text = f"receiver {name} ({n} detections) is not in the receivers table: takes no part"
-            notes.append(Note("warning", text, n))
-        elif n:
-            text = f"{n} detections of {name} are outside any deployment of it: they take no part"
-            notes.append(Note("warning", text, n))
     heard = np.unique(deployment[deployment >= 0])
     silent = [r.labels[i] for i in range(len(r)) if i not in heard]
     if silent and len(d):

@@ -104,9 +104,10 @@ class Detections:
             keep = keep & (self.tag == self.find_tag(tag))
         if receiver is not None:
             keep = keep & np.isin(self.receiver, np.atleast_1d(np.asarray(receiver, dtype=str)))
-        return self._take(keep)
+        return self.take(keep)
 
-    def _take(self, rows: np.ndarray) -> Detections:
+    def take(self, rows: np.ndarray) -> Detections:
+        """Return the detections at these indices, in their order, or where a mask is true."""
         extra = {k: v[rows] for k, v in self.extra.items()}
         return Detections(self.time[rows], self.receiver[rows], self.tag[rows], extra, self.report)
 
@@ -165,27 +166,41 @@ class Detections:
         return pl.DataFrame([time, *columns])
 
     @staticmethod
-    def concat(parts: Sequence[Detections]) -> Detections:
+    def concat(parts: Sequence[Detections], holders: str = "file") -> Detections:
         """Merge tables; detections present twice (same time, receiver and tag) are kept once.
 
         The number removed is noted in the report. Extra columns that a part lacks are missing
         (NaN or None) in its rows.
-        """
-        import polars as pl
 
+        Parameters
+        ----------
+        parts : sequence of Detections
+            Earlier ones win.
+        holders : str
+            What the parts are, for the note.
+        """
         parts = list(parts)
         if not parts:
             return Detections(np.empty(0, np.int64), np.empty(0, str), np.empty(0, str))
         if len(parts) == 1:
             return parts[0]
-        both = pl.concat([p.to_frame() for p in parts], how="diagonal_relaxed")
-        kept = both.unique(["time", "receiver", "tag"], keep="first", maintain_order=True)
+        time, receiver, tag = (
+            np.concatenate([getattr(p, name) for p in parts])
+            for name in ("time", "receiver", "tag")
+        )
+        extra = {
+            name: _joined([(p.extra.get(name), len(p)) for p in parts])
+            for name in dict.fromkeys(n for p in parts for n in p.extra)
+        }
+        first = _arrays.first_of_each(time, receiver, tag)
         report = ReadReport.merge(p.report for p in parts)
-        if gone := len(both) - len(kept):
-            text = f"{gone} detections present in more than one file, kept once"
+        if gone := int((~first).sum()):
+            text = f"{gone} detections present in more than one {holders}, kept once"
             report = report.add(Note("info", text, gone))
-        report = ReadReport(report.format, report.files, len(kept), report.notes)
-        return Detections.from_frame(kept, report)
+            time, receiver, tag = time[first], receiver[first], tag[first]
+            extra = {name: values[first] for name, values in extra.items()}
+        report = ReadReport(report.format, report.files, len(time), report.notes)
+        return Detections(time, receiver, tag, extra, report)
 
     def __repr__(self) -> str:
         tags, receivers = len(self.tags), len(self.receivers)
@@ -197,3 +212,17 @@ class Detections:
             f"receiver{'s' * (receivers != 1)}, {iso(first)} to {iso(last)} UTC "
             f"({duration((last - first) / NS)}){self.report.flag}"
         )
+
+
+def _joined(parts: list[tuple[np.ndarray | None, int]]) -> np.ndarray:
+    """One column of several tables: numbers where all are, else objects; missing where absent."""
+    there = [v for v, _ in parts if v is not None]
+    if all(v.dtype.kind in "iufb" for v in there):
+        whole = len(there) == len(parts) and all(v.dtype == there[0].dtype for v in there)
+        kind = there[0].dtype if whole else np.dtype(float)
+        return np.concatenate(
+            [np.full(n, np.nan) if v is None else v.astype(kind) for v, n in parts]
+        )
+    return np.concatenate(
+        [np.full(n, None, object) if v is None else v.astype(object) for v, n in parts]
+    )

@@ -8,43 +8,170 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes, Schedule
     from maloc.data.detections import Detections
+    from maloc.data.events import Events
+    from maloc.data.positions import Positions
+    from maloc.data.readers._how import Clock
     from maloc.data.receivers import Receivers
+    from maloc.data.tags import Tags
 
-__all__ = ["read_detections", "read_receivers", "read_toa"]
+__all__ = [
+    "read_detections",
+    "read_events",
+    "read_positions",
+    "read_receivers",
+    "read_tags",
+    "read_toa",
+]
 
 
 def read_detections(
-    *paths: str | Path, format: str | None = None, tz: str | None = None
+    *paths: str | Path,
+    format: str | None = None,
+    tz: str | None = None,
+    clock: Clock | None = None,
 ) -> Detections:
-    """Read detections from one or more files (CSV, gzip'd CSV, Parquet, SQLite).
+    """Read detections from one or more files.
+
+    CSV, Parquet or SQLite, plain, gzip'd or in a zip archive; exports of the same receivers may
+    overlap.
 
     Parameters
     ----------
     *paths : str or Path
-        Files; each one's format is found by its header.
-    format : {"vue", "thelma", "kaltoa", "plain", "atlas"}, optional
-        Insist on a format.
+        Files; each one's format is found by its header. Receiver events of VUE may be among them.
+    format : str, optional
+        Insist on a format: "vue", "vdat", "innovasea", "thelma", "lotek", "lotek-mdy",
+        "lotek-dmy", "lotek-jsats", "kaltoa", "otn", "glatos", "etn", "plain" or "atlas".
     tz : str, optional
         Zone of local times, such as "Europe/Copenhagen" or "Etc/GMT-1"; files that say UTC do
         not need it.
+    clock : {"device", "corrected", "linear"}, optional
+        Of exports that hold the device's and a corrected time: the device's, the corrected one
+        (and an error where it is lacking), or the device's corrected along lines between the
+        comparisons of clocks that the logs hold. Default: the corrected one where there is one.
 
     Returns
     -------
     Detections
-        In the order of the files; everything skipped or odd is in its `report`.
+        In the order of the files; everything skipped or odd is in its `report`. Sensor values
+        that say their unit are in ``extra["depth"]`` (m) and ``extra["temperature"]`` (C).
 
     Raises
     ------
     InputError
         If a file cannot be read or recognised, or a value in it is wrong: with file, line, column.
     """
-    from maloc.data.detections import Detections
-    from maloc.data.readers._recognise import read_file
+    from maloc.data.events import ClockReferences
+    from maloc.data.readers._how import CLOCKS, How
+    from maloc.data.readers._merge import merge, on_asked_clock, under_one_name
+    from maloc.data.readers._recognise import read_files
+    from maloc.data.tags import sensor_values
     from maloc.errors import InputError
 
     if not paths:
         raise InputError("no file of detections given")
-    return Detections.concat([read_file(p, format, tz) for p in paths])
+    if clock not in (None, *CLOCKS):
+        raise InputError(f"clock '{clock}' is not one of {', '.join(CLOCKS)}")
+    found = read_files(paths, format, How(tz, clock))
+    references = ClockReferences.concat([e.references for e in found.events])
+    out = on_asked_clock(merge(found.detections), references, clock)
+    return sensor_values(under_one_name(out))
+
+
+def read_events(*paths: str | Path, tz: str | None = None) -> Events:
+    """Read what receivers logged beside detections: VUE's events, Fathom/VDAT's other records.
+
+    Parameters
+    ----------
+    *paths : str or Path
+        Files.
+    tz : str, optional
+        Zone of local times.
+
+    Returns
+    -------
+    Events
+        In the order of the files.
+
+    Raises
+    ------
+    InputError
+        If a file holds no events.
+    """
+    from maloc.data.events import Events
+    from maloc.data.readers import vdat, vue_events
+    from maloc.data.readers._files import load_all
+    from maloc.data.readers._how import How
+    from maloc.data.readers._text import table_of
+    from maloc.errors import InputError
+
+    parts = []
+    for file in (f for path in paths for f in load_all(path)):
+        if vdat.sniff(file.data):
+            parts.append(vdat.read_events(file))
+            continue
+        table = table_of(file)
+        if not vue_events.matches(table):
+            raise table.error("no receiver events (VUE's events, or a Fathom/VDAT log)")
+        parts.append(vue_events.read(table, How(tz)))
+    if not parts:
+        raise InputError("no file of receiver events given")
+    return Events.concat(parts)
+
+
+def read_tags(path: str | Path) -> Tags:
+    """Read the table of tags, one row a code (CSV, Parquet).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. Columns: `tag` (code, with its code space there or in `codespace`), optional
+        `animal` (codes of one animal make one track), `sensor` (depth, temperature), `slope`,
+        `intercept` (value = slope * number + intercept), `min_delay`, `max_delay` (s), `start`,
+        `end` (UTC); aliases are read.
+
+    Returns
+    -------
+    Tags
+
+    Raises
+    ------
+    InputError
+        If a column or a value is missing or wrong, or a code is there twice.
+    """
+    from maloc.data.readers._text import read_table
+    from maloc.data.readers.tags import read
+
+    return read(read_table(path))
+
+
+def read_positions(path: str | Path, crs: str | None = None, tz: str | None = None) -> Positions:
+    """Read positions that others found, to compare tracks with.
+
+    Parameters
+    ----------
+    path : str or Path
+        VPS positions, ATLAS localizations, Movebank events, yaps's GPS table.
+    crs : str, optional
+        Frame, such as "EPSG:32617", to project longitude and latitude to.
+    tz : str, optional
+        Zone of times that name none; UTC when not given.
+
+    Returns
+    -------
+    Positions
+
+    Raises
+    ------
+    InputError
+        If the header is none of these, or a value cannot be read.
+    """
+    from maloc.data.readers._how import How
+    from maloc.data.readers._text import read_table
+    from maloc.data.readers.positions import read
+
+    found = read(read_table(path), How(tz))
+    return found if crs is None else found.in_frame(crs)
 
 
 def read_receivers(path: str | Path, crs: str | None = None) -> Receivers:

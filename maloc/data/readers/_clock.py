@@ -59,7 +59,86 @@ def stamps(
     else:
         cell = table.text(k)
     known = cell.is_not_null().to_numpy()
-    p = cell.str.extract_groups(_STAMP).struct.unnest()
+    seconds, fraction, done = fixed(cell)
+    zone = pl.Series([None], dtype=pl.String).new_from_index(0, len(cell))
+    rest = np.flatnonzero(known & ~done)
+    if len(rest):
+        parts = _free(table, cell, rest, k, coarse)
+        seconds[rest], fraction[rest] = parts[:2]
+        zone = zone.scatter(rest, parts[2])
+    out = to_utc(table, seconds, zone, known, k, tz)
+    return np.where(known, out * NS + fraction, 0), known
+
+
+def fixed(cell: pl.Series) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parse the commonest form, "2021-06-01 10:00:00.217" with 0 to 9 decimals, all at once.
+
+    Parameters
+    ----------
+    cell : Series (N,) of text
+        Dates and times; null = missing.
+
+    Returns
+    -------
+    seconds : array (N,) of int64
+        Since 1970, as written.
+    fraction : array (N,) of int64
+        ns.
+    done : array (N,) of bool
+        Where the value has this form and is a possible date; the rest is left alone.
+    """
+    n = len(cell)
+    seconds, fraction, done = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, bool)
+    size = cell.str.len_bytes().fill_null(0).to_numpy()
+    for length in np.unique(size):
+        if length != 19 and not 21 <= length <= 29:
+            continue
+        mine = size == length
+        text = cell.filter(pl.Series(mine)).str.join("")[0].encode()
+        raw = np.frombuffer(text, np.uint8).reshape(-1, length)
+        rows = np.flatnonzero(mine)
+        seconds[rows], fraction[rows], done[rows] = _digits(raw)
+    return seconds, fraction, done
+
+
+def _digits(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Seconds, ns and validity of stamps given as bytes (N, length)."""
+    length = raw.shape[1]
+    ok = (raw[:, 4] == ord("-")) & (raw[:, 7] == ord("-"))
+    ok &= (raw[:, 10] == ord(" ")) | (raw[:, 10] == ord("T"))
+    ok &= (raw[:, 13] == ord(":")) & (raw[:, 16] == ord(":"))
+    if length > 19:
+        ok &= raw[:, 19] == ord(".")
+    places = [i for i in range(length) if i not in (4, 7, 10, 13, 16, 19)]
+    for i in places:
+        ok &= (raw[:, i] - np.uint8(ord("0"))) < 10
+
+    def number(a: int, b: int) -> np.ndarray:
+        out = np.zeros(len(raw), np.int64)
+        for i in range(a, b):
+            out = out * 10 + raw[:, i] - ord("0")
+        return out
+
+    year, month, day = number(0, 4), number(5, 7), number(8, 10)
+    hour, minute, second = number(11, 13), number(14, 16), number(17, 19)
+    ok &= (year >= 1970) & (year < 2200) & (month >= 1) & (month <= 12) & (day >= 1)
+    ok &= (hour < 24) & (minute < 60) & (second < 60)
+    months = np.where(ok, (year - 1970) * 12 + month - 1, 0)
+    first, after = (
+        m.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+        for m in (months, months + 1)
+    )
+    ok &= day <= after - first
+    seconds = (((first + day - 1) * 24 + hour) * 60 + minute) * 60 + second
+    fraction = number(20, length) * 10 ** (29 - length) if length > 19 else np.zeros_like(seconds)
+    return np.where(ok, seconds, 0), np.where(ok, fraction, 0), ok
+
+
+def _free(
+    table: Table, cell: pl.Series, rows: np.ndarray, k: int, coarse: bool
+) -> tuple[np.ndarray, np.ndarray, pl.Series]:
+    """Seconds, ns and named zone of the values at `rows`, in any form known."""
+    p = cell.gather(rows).str.extract_groups(_STAMP).struct.unnest()
     year, month, day, hour, minute, second, fraction, zone = (p[str(i)] for i in range(1, 9))
     read = year.is_not_null()
     if not coarse:
@@ -72,12 +151,10 @@ def stamps(
     seconds = when.dt.epoch("s")
     ok = read & when.is_not_null() & (seconds >= 0) & (seconds < LATEST_S)
     ok = ok & (second.is_null() | (second != "60"))
-    bad = np.flatnonzero(known & ~ok.fill_null(False).to_numpy())
+    bad = np.flatnonzero(~ok.fill_null(False).to_numpy())
     if len(bad):
-        raise _unreadable(table, cell, int(bad[0]), k)
-    out = seconds.fill_null(0).to_numpy().astype(np.int64)
-    out = _to_utc(table, when, out, zone, known, k, tz)
-    return np.where(known, out * NS + _nanoseconds(fraction), 0), known
+        raise _unreadable(table, cell, int(rows[bad[0]]), k)
+    return seconds.to_numpy().astype(np.int64), _nanoseconds(fraction), zone
 
 
 def _typed(table: Table, cell: pl.Series, k: int, tz: str | None) -> tuple[np.ndarray, np.ndarray]:
@@ -87,10 +164,8 @@ def _typed(table: Table, cell: pl.Series, k: int, tz: str | None) -> tuple[np.nd
     if zone is None and tz not in _UTC:
         if tz is None:
             raise _which_zone(table, k)
-        naive = pl.Series(stamp // NS).cast(pl.Int64) * 1_000_000
-        when = naive.cast(pl.Datetime("us"))
         nothing = pl.Series([None] * len(cell), dtype=pl.String)
-        whole = _to_utc(table, when, stamp // NS, nothing, known, k, tz)
+        whole = to_utc(table, stamp // NS, nothing, known, k, tz)
         stamp = whole * NS + stamp % NS
     return np.asarray(stamp, dtype=np.int64), known
 
@@ -100,14 +175,8 @@ def _nanoseconds(fraction: pl.Series) -> np.ndarray:
     return digits.cast(pl.Int64).to_numpy()
 
 
-def _to_utc(
-    table: Table,
-    when: pl.Series,
-    seconds: np.ndarray,
-    zone: pl.Series,
-    known: np.ndarray,
-    k: int,
-    tz: str | None,
+def to_utc(
+    table: Table, seconds: np.ndarray, zone: pl.Series, known: np.ndarray, k: int, tz: str | None
 ) -> np.ndarray:
     """Shift local seconds by the offset each stamp names, or else by the zone `tz`."""
     out = np.asarray(seconds, dtype=np.int64)
@@ -121,6 +190,7 @@ def _to_utc(
         return out
     if tz is None:
         raise _which_zone(table, k)
+    when = (pl.Series(seconds) * 1_000_000).cast(pl.Datetime("us"))
     try:
         local = when.dt.replace_time_zone(tz, ambiguous="null", non_existent="null")
         first = when.dt.replace_time_zone(tz, ambiguous="earliest", non_existent="null")

@@ -39,6 +39,19 @@ RECEIVER = {
     "end": "end end_utc end_time end_time_utc stop stop_utc stop_time recover_date_time "
     "recovery_date recover_date deployment_end",
 }
+TAG = {
+    "tag": "tag tag_id transmitter acoustic_tag_id full_id tag_code tagname code transmitter_id "
+    "tag_id_code id_code signal",
+    "codespace": "codespace code_space transmitter_codespace tag_code_space",
+    "animal": "animal animal_id fish fish_id individual catalognumber name",
+    "sensor": "sensor sensor_type sensor_function",
+    "slope": "slope sensor_slope",
+    "intercept": "intercept sensor_intercept",
+    "min_delay": "min_delay step1_min_delay min_delay_s min_interval burst_min delay_min",
+    "max_delay": "max_delay step1_max_delay max_delay_s max_interval burst_max delay_max",
+    "start": "start start_utc release_date release_date_time utc_release_date_time release",
+    "end": "end end_utc recapture_date removal_date",
+}
 TOA = {
     "ping": "ping",
     "tag": "tag",

@@ -2,44 +2,140 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 from maloc.data.detections import Detections
-from maloc.data.readers import atlas, kaltoa, plain, thelma, vue
-from maloc.data.readers._text import Table, from_frame, load, read_table
+from maloc.data.events import Events
+from maloc.data.readers import (
+    atlas,
+    innovasea,
+    kaltoa,
+    lotek,
+    lotek_text,
+    networks,
+    plain,
+    thelma,
+    vdat,
+    vue,
+    vue_events,
+)
+from maloc.data.readers import positions as of_positions
+from maloc.data.readers import receivers as of_receivers
+from maloc.data.readers import tags as of_tags
+from maloc.data.readers._files import File, load_all
+from maloc.data.readers._how import How
+from maloc.data.readers._text import Table, from_frame, table_of
+from maloc.data.report import Note
 from maloc.errors import InputError
 
-FORMATS = (vue, thelma, kaltoa, plain)
-NAMES = (*(f.NAME for f in FORMATS), atlas.NAME)
+__all__ = ["NAMES", "Found", "known_formats", "open_file", "read_files", "read_frame", "recognise"]
+
+
+class Format(Protocol):
+    """A format of detections with one header line: a module, or one of `networks`."""
+
+    NAME: str
+    TITLE: str
+    matches: Callable[[Table], bool]
+    read: Callable[[Table, How], Detections]
+
+
+FORMATS: tuple[Any, ...] = (
+    vue,
+    innovasea,
+    thelma,
+    lotek,
+    kaltoa,
+    networks.OTN,
+    networks.GLATOS,
+    networks.ETN,
+    plain,
+)
+WHOLE_FILES: tuple[Any, ...] = (
+    vdat,
+    *lotek_text.FORMATS,
+    atlas,
+)  # told by their first bytes, not by a header line
+NAMES = tuple(f.NAME for f in (*FORMATS, *WHOLE_FILES))
+
+
+class Found(NamedTuple):
+    """A file that was recognised, and what is in it."""
+
+    file: File
+    kind: str  # "detections", "events", "receivers", "tags", "positions", "toa"
+    title: str
+    table: Table | None
+    read: Callable[[How], Any]
 
 
 def known_formats() -> str:
-    """Return the formats that are read, in words."""
-    return "; ".join([*(f.TITLE for f in FORMATS), atlas.TITLE])
+    """Return the formats of detections that are read, in words."""
+    return "; ".join(f.TITLE for f in (*FORMATS, *WHOLE_FILES))
 
 
-def recognise(table: Table, format: str | None = None):
-    """Return the reader module of a table.
+def open_file(file: File, format: str | None = None) -> Found:
+    """Find out what a file is.
+
+    Parameters
+    ----------
+    file : File
+        Its name and bytes.
+    format : str, optional
+        Insist on a format of detections.
 
     Raises
     ------
     InputError
-        If the header fits no format (it is listed, with the formats known).
+        If the header fits nothing known (it is listed, with the formats known).
     """
+    for f in WHOLE_FILES:
+        if f.sniff(file.data) and format in (None, f.NAME):
+            return Found(
+                file, "detections", f.TITLE, None, lambda how, f=f: f.read_detections(file, how)
+            )
+        if format == f.NAME:
+            raise InputError(f"is not {f.TITLE}", file=file.name)
+    table = table_of(file)
+    found = _of_table(table, format)
+    return Found(file, *found)
+
+
+def _of_table(table: Table, format: str | None) -> tuple[str, str, Table, Callable[[How], Any]]:
     if format is not None:
-        chosen = next((f for f in FORMATS if f.NAME == format), None)
-        if chosen is None or not chosen.matches(table):
-            names = ", ".join(NAMES)
-            why = f"the header does not fit format '{format}'" if chosen else "unknown format"
-            raise table.error(f"{why} (formats: {names}); {_header(table)}")
-        return chosen
-    if vue.is_events(table):
-        raise table.error(
-            "VUE receiver events, not detections", mend="give the detections export of VUE"
+        chosen = next(f for f in FORMATS if f.NAME == format)
+        if not chosen.matches(table):
+            raise table.error(
+                f"the header does not fit format '{format}' ({chosen.TITLE}); {_header(table)}"
+            )
+        return "detections", chosen.TITLE, table, lambda how: chosen.read(table, how)
+    if vue_events.matches(table):
+        return "events", vue_events.TITLE, table, lambda how: vue_events.read(table, how)
+    if of_positions.matches(table):
+        return (
+            "positions",
+            of_positions.title(table),
+            table,
+            lambda how: of_positions.read(table, how),
         )
     for f in FORMATS:
         if f.matches(table):
-            return f
+            return "detections", f.TITLE, table, lambda how, f=f: f.read(table, how)
+    from maloc.data.readers import toa
+
+    if toa.matches(table):
+        return "toa", "TOA matrix", table, lambda how: table
+    if of_receivers.matches(table):
+        return (
+            "receivers",
+            "receivers table",
+            table,
+            lambda how: of_receivers.receivers_from_table(table),
+        )
+    if of_tags.matches(table):
+        return "tags", "tags table", table, lambda how: of_tags.read(table)
     raise table.error(f"unknown header, {_header(table)}; formats known: {known_formats()}")
 
 
@@ -47,20 +143,79 @@ def _header(table: Table) -> str:
     return "header found: " + ", ".join(c or "(no name)" for c in table.columns[:40])
 
 
-def read_file(path: str | Path, format: str | None = None, tz: str | None = None) -> Detections:
-    """Read one file of detections in any known format."""
+class ReadFiles(NamedTuple):
+    """Detections file by file, and the logs of the receivers that came along."""
+
+    detections: list[Detections]
+    events: list[Events]
+
+
+def read_files(paths: Sequence[str | Path], format: str | None, how: How) -> ReadFiles:
+    """Read files of detections in any known format, and events beside them.
+
+    Raises
+    ------
+    InputError
+        If a file is neither, or cannot be read.
+    """
     if format is not None and format not in NAMES:
         raise InputError(f"format '{format}' is not one of {', '.join(NAMES)}")
-    name, data = load(path)
-    if data.startswith(atlas.MAGIC):
-        return atlas.read_file(path)
-    if format == atlas.NAME:
-        raise InputError("not an SQLite file", file=name)
-    table = read_table(path)
-    return recognise(table, format).read(table, tz)
+    detections: list[Detections] = []
+    events: list[Events] = []
+    for path in paths:
+        files = load_all(path)
+        passed: list[str] = []
+        before = len(detections)
+        for file in files:
+            try:
+                found = open_file(file, format)
+            except InputError:
+                if len(files) == 1:
+                    raise
+                passed.append(file.name)
+                continue
+            if found.kind == "detections":
+                detections.append(found.read(how))
+                if vdat.sniff(file.data):
+                    events.append(vdat.read_events(file))
+            elif found.kind == "events":
+                events.append(found.read(how))
+            elif len(files) == 1:
+                raise InputError(
+                    f"{found.title}, not detections", file=file.name, mend="give detections"
+                )
+            else:
+                passed.append(file.name)
+        if len(files) > 1 and len(detections) == before:
+            raise InputError(f"none of its {len(files)} files holds detections", file=str(path))
+        if passed:
+            text = f"{len(passed)} files in {path} are no detections: {', '.join(passed[:8])}"
+            last = detections[-1]
+            report = last.report.add(Note("info", text, len(passed), str(path)))
+            detections[-1] = Detections(last.time, last.receiver, last.tag, last.extra, report)
+    if not detections:
+        raise InputError(
+            "receiver events, not detections",
+            file=", ".join(map(str, paths)),
+            mend="give the detections export too",
+        )
+    return ReadFiles(detections, events)
 
 
 def read_frame(df, name: str = "dataframe", tz: str | None = None) -> Detections:
     """Read detections from a polars DataFrame in any known layout."""
-    table = from_frame(name, df)
-    return recognise(table).read(table, tz)
+    return recognise(from_frame(name, df)).read(How(tz))
+
+
+def recognise(table: Table, format: str | None = None) -> Found:
+    """Return what a table of detections is; see `open_file`.
+
+    Raises
+    ------
+    InputError
+        If it is not a table of detections.
+    """
+    kind, title, _, read = _of_table(table, format)
+    if kind != "detections":
+        raise table.error(f"{title}, not detections")
+    return Found(File(table.file, b""), kind, title, table, read)

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
 import io
 import re
-import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from maloc.data.readers._files import File, load
+from maloc.data.readers._lines import read_lines
 from maloc.data.report import Note
 from maloc.errors import InputError
 
 MISSING = ("", "NA", "N/A", "NaN", "nan", "NAN", "NaT", "null", "NULL", "None")
 DELIMITERS = (",", ";", "\t", "|")
+TITLE_LINES = 8
+BOM = b"\xef\xbb\xbf"
+_SHEET = re.compile(r"INS_SERIAL_NO|ins_serial_no")  # OTN's sheets have a title above the header
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,17 +35,21 @@ class Table:
     notes: tuple[Note, ...] = ()
     cut_last: bool = False  # the last line has no end and fewer fields than any other
     typed: bool = field(default=False)
+    _text: dict[int, pl.Series] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.line)
 
     def rows(self, keep: np.ndarray, *notes: Note) -> Table:
         """Return the rows where `keep` is true, with further notes."""
+        more = (*self.notes, *notes)
+        cut = self.cut_last and bool(keep[-1])
+        if keep.all():
+            return replace(self, notes=more)
         mask = pl.Series(keep)
         cells = tuple(c.filter(mask) for c in self.cells)
-        more = (*self.notes, *notes)
         return Table(
-            self.file, self.columns, cells, self.line[keep], self.delimiter, more, False, self.typed
+            self.file, self.columns, cells, self.line[keep], self.delimiter, more, cut, self.typed
         )
 
     def error(
@@ -59,12 +65,18 @@ class Table:
 
     def text(self, k: int) -> pl.Series:
         """Column `k` as text, missing values null."""
-        cell = self.cells[k]
-        if cell.dtype != pl.String:
-            if cell.dtype.is_float() and (cell.drop_nulls() % 1 == 0).all():
-                cell = cell.cast(pl.Int64, strict=False)
-            cell = cell.cast(pl.String)
-        return pl.select(pl.when(~cell.is_in(list(MISSING))).then(cell)).to_series()
+        if k not in self._text:
+            cell = self.cells[k]
+            if cell.dtype != pl.String:
+                if cell.dtype.is_float() and (cell.drop_nulls() % 1 == 0).all():
+                    cell = cell.cast(pl.Int64, strict=False)
+                cell = cell.cast(pl.String)
+            self._text[k] = without(cell, MISSING)
+        return self._text[k]
+
+    def empty(self, k: int) -> bool:
+        """Whether every value of column `k` is missing."""
+        return self.text(k).null_count() == len(self)
 
     def numbers(self, k: int, missing: tuple[str, ...] = ()) -> np.ndarray:
         """Column `k` as float64, missing values NaN; anything that is no number is an error."""
@@ -73,8 +85,7 @@ class Table:
             out = cell.cast(pl.Float64).fill_null(np.nan).to_numpy()
             return self._finite(out, k)
         cell = self.text(k)
-        if missing:
-            cell = pl.select(pl.when(~cell.is_in(list(missing))).then(cell)).to_series()
+        cell = without(cell, missing)
         if self.delimiter != "," and cell.str.contains(",", literal=True).any():
             self._one_decimal_mark(cell, k)
             cell = cell.str.replace(",", ".", literal=True)
@@ -103,38 +114,24 @@ class Table:
             )
 
 
-def load(path: str | Path) -> tuple[str, bytes]:
-    """Return the name of a file and its bytes, unzipped when it is gzip'd.
-
-    Raises
-    ------
-    InputError
-        If it is missing, empty, or a broken archive.
-    """
-    path = Path(path)
-    name = str(path)
-    try:
-        data = path.read_bytes()
-        if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
-    except FileNotFoundError:
-        raise InputError("no such file", file=name) from None
-    except IsADirectoryError:
-        raise InputError("is a folder, a file is expected", file=name) from None
-    except (gzip.BadGzipFile, EOFError, zlib.error) as e:
-        raise InputError(f"broken gzip file ({e})", file=name) from None
-    except OSError as e:
-        raise InputError(f"cannot be read ({e.strerror or e})", file=name) from None
-    if not data.strip(b" \t\r\n\xef\xbb\xbf\x00"):
-        raise InputError("empty file", file=name)
-    return name, data
+def without(cell: pl.Series, missing: tuple[str, ...]) -> pl.Series:
+    """Text with these words as null; words are short, so only short values are looked up."""
+    if not missing:
+        return cell
+    short = cell.str.len_bytes() <= max(map(len, missing))
+    if not short.any():
+        return cell
+    if (cell == "").all() and "" in missing:
+        return pl.Series(cell.name, [None], dtype=pl.String).new_from_index(0, len(cell))
+    gone = short & cell.is_in(list(missing))
+    return pl.select(pl.when(~gone).then(cell)).to_series()
 
 
-def decode(name: str, data: bytes) -> tuple[str, list[Note]]:
-    """Return the text and what was noted about its encoding; a binary file is refused."""
+def decode(name: str, data: bytes) -> tuple[bytes, list[Note]]:
+    """Return text as UTF-8 and what was noted about its encoding; a binary file is refused."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         try:
-            return data.decode("utf-16").lstrip("\ufeff"), []
+            return data.decode("utf-16").encode(), []
         except UnicodeDecodeError:
             raise InputError("starts as UTF-16 text but is not", file=name) from None
     if b"\x00" in data:
@@ -147,7 +144,9 @@ def decode(name: str, data: bytes) -> tuple[str, list[Note]]:
     if data[:2] == b"PK":
         raise InputError("an Excel workbook or zip archive", file=name, mend="export it as CSV")
     try:
-        return data.decode("utf-8-sig"), []
+        if not data.isascii():
+            data.decode()
+        return data, []
     except UnicodeDecodeError:
         pass
     try:
@@ -156,7 +155,7 @@ def decode(name: str, data: bytes) -> tuple[str, list[Note]]:
         raise InputError(
             "neither UTF-8 nor Windows-1252 text", file=name, mend="save it as UTF-8"
         ) from None
-    return text, [Note("info", "not UTF-8: read as Windows-1252", 1, name)]
+    return text.encode(), [Note("info", "not UTF-8: read as Windows-1252", 1, name)]
 
 
 def split(name: str, data: bytes) -> Table:
@@ -165,88 +164,64 @@ def split(name: str, data: bytes) -> Table:
     Rows may be shorter than the header (padded with missing values). A row with more filled
     fields than the header is an error: its values could not be trusted to be in their columns.
     """
-    text, notes = decode(name, data)
-    if text.startswith("VEMCO DATA LOG"):
-        raise InputError(
-            "Fathom/VDAT CSV of all record types, which is not read",
-            file=name,
-            mend="export the detections as CSV from Fathom Connect",
-        )
-    text = re.sub(r"\r+\n?", "\n", text) if "\r" in text else text
-    text = text.replace("\ufeff", "") if "\ufeff" in text else text
-    ended = text.endswith("\n")
-    lines = text.split("\n")
-    first = (
-        next(i for i, s in enumerate(lines) if s.strip() and not s.startswith("#"))
-        if any(s.strip() and not s.startswith("#") for s in lines)
-        else None
-    )
-    if first is None:
-        raise InputError("empty file", file=name)
-    head = lines[first]
+    data, notes = normal(name, data)
+    return split_text(name, data, notes)
+
+
+def normal(name: str, data: bytes) -> tuple[bytes, list[Note]]:
+    """Return text as UTF-8 without byte-order marks, lines ending in a newline alone."""
+    data, notes = decode(name, data)
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n")
+        data = re.sub(rb"\r+\n?", b"\n", data) if b"\r" in data else data
+    return (data.replace(BOM, b"") if BOM in data else data), notes
+
+
+def split_text(name: str, data: bytes, notes: list[Note]) -> Table:
+    """Return the table in normal text; see `split`."""
+    first, head = _header(name, data)
     delimiter = max(DELIMITERS, key=lambda d: (head.count(d), -DELIMITERS.index(d)))
     if delimiter != ",":
         word = {";": "semicolon", "\t": "tab", "|": "bar"}[delimiter]
-        notes.append(Note("info", f"{word}-delimited", 1, name))
-    if '"' in text:
-        rows, line = _quoted(name, lines, first, delimiter)
-        header, rows, line = rows[0], rows[1:], line[1:]
-        fields = pl.Series([len(r) for r in rows], dtype=pl.Int64)
-        parts = pl.Series(rows, dtype=pl.List(pl.String))
-    else:
-        header = head.split(delimiter)
-        body = pl.Series(lines[first + 1 :], dtype=pl.String)
-        full = body.str.strip_chars() != ""
-        line = np.flatnonzero(full.to_numpy()) + first + 2
-        parts = body.filter(full).str.split(delimiter)
-        fields = parts.list.len().cast(pl.Int64)
-    n = len(header)
-    _refuse_long_rows(name, parts, fields, line, n, delimiter)
-    cells = tuple(
-        parts.list.get(k, null_on_oob=True).str.strip_chars().fill_null("") for k in range(n)
-    )
-    shorter = len(fields) > 1 and not ended and int(fields[-1]) < int(fields[:-1].min())  # pyright: ignore
-    cut = bool(shorter) or (len(fields) == 1 and not ended and int(fields[0]) < min(n, 3))
-    names = tuple(h.strip().strip("\"'").strip() if i else h.strip() for i, h in enumerate(header))
-    return Table(name, names, cells, line, delimiter, tuple(notes), cut)
-
-
-def _quoted(
-    name: str, lines: list[str], first: int, delimiter: str
-) -> tuple[list[list[str]], np.ndarray]:
-    reader = csv.reader(
-        io.StringIO("\n".join(lines[first:])), delimiter=delimiter, strict=True, doublequote=True
-    )
-    rows, line, before = [], [], 0
-    try:
-        for row in reader:
-            if row and (len(row) > 1 or row[0].strip()):
-                rows.append(row)
-                line.append(first + before + 1)
-            before = reader.line_num
-    except csv.Error as e:
-        raise InputError(f"broken quotes ({e})", file=name, row=first + before + 1) from None
-    if not rows:
-        raise InputError("empty file", file=name)
-    return rows, np.asarray(line, dtype=np.int64)
-
-
-def _refuse_long_rows(
-    name: str, parts: pl.Series, fields: pl.Series, line: np.ndarray, n: int, delimiter: str
-) -> None:
-    long = (fields > n).arg_true()
-    if not len(long):
-        return
-    for i in long:
-        extra = parts[int(i)].to_list()[n:]
+        notes = [*notes, Note("info", f"{word}-delimited", 1, name)]
+    found = read_lines(name, data, first, delimiter)
+    n, fields = len(found.header), found.fields
+    for i, extra in zip(found.long, found.beyond, strict=True):
         if any(v.strip() for v in extra):
-            mend = "quote text that holds the delimiter, and write numbers with a decimal point"
             raise InputError(
-                f"{fields[int(i)]} fields under {n} column names (delimiter '{delimiter}')",
+                f"{fields[i]} fields under {n} column names (delimiter '{delimiter}')",
                 file=name,
-                row=int(line[int(i)]),
-                mend=mend,
+                row=int(found.line[i]),
+                mend="quote text that holds the delimiter, and write numbers with a decimal point",
             )
+    ended = data.endswith(b"\n")
+    shorter = len(fields) > 1 and not ended and fields[-1] < fields[:-1].min()
+    cut = bool(shorter) or (len(fields) == 1 and not ended and int(fields[0]) < min(n, 3))
+    names = tuple(
+        h.strip().strip("\"'").strip() if i else h.strip() for i, h in enumerate(found.header)
+    )
+    return Table(name, names, tuple(found.cells), found.line, delimiter, tuple(notes), cut)
+
+
+def _header(name: str, data: bytes) -> tuple[int, str]:
+    """Return the header's line (0 = first) and its text.
+
+    It is the first line that is neither blank nor a comment, but in a sheet with a title above
+    its table the line that names the columns.
+    """
+    position, i, first = 0, 0, None
+    while position < len(data) and (first is None or i - first[0] < TITLE_LINES):
+        end = data.find(b"\n", position)
+        end = len(data) if end < 0 else end
+        text = data[position:end].decode()
+        if text.strip() and not text.startswith("#"):
+            if _SHEET.search(text):
+                return i, text
+            first = first or (i, text)
+        position, i = end + 1, i + 1
+    if first is None:
+        raise InputError("empty file", file=name)
+    return first
 
 
 def from_frame(name: str, df: pl.DataFrame) -> Table:
@@ -277,7 +252,12 @@ def read_table(path: str | Path) -> Table:
     InputError
         If the file is missing, empty, binary, or not a table.
     """
-    name, data = load(path)
+    return table_of(load(path))
+
+
+def table_of(file: File) -> Table:
+    """Return the table in an unpacked file; see `read_table`."""
+    name, data = file
     if data[:4] == b"PAR1":
         try:
             df = pl.read_parquet(io.BytesIO(data))

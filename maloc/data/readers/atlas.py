@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from pathlib import Path
 
 import numpy as np
 
@@ -11,10 +10,12 @@ from maloc.data._time import NS
 from maloc.data.detections import Detections
 from maloc.data.readers._build import WHOLE_SECONDS, whole_seconds
 from maloc.data.readers._clock import LATEST_S
+from maloc.data.readers._files import File
+from maloc.data.readers._how import How
 from maloc.data.report import Note, ReadReport
 from maloc.errors import InputError
 
-__all__ = ["MAGIC", "NAME", "TITLE", "read_file"]
+__all__ = ["MAGIC", "NAME", "TITLE", "read_detections", "sniff"]
 
 NAME = "atlas"
 TITLE = "ATLAS SQLite (table DETECTIONS: BS, TAG, TIME, ...)"
@@ -22,7 +23,12 @@ MAGIC = b"SQLite format 3\x00"
 _OPTIONAL = {"snr": "SNR", "signal": "RSSI", "gain": "GAIN", "samples_clk": "SAMPLES_CLK"}
 
 
-def read_file(path: str | Path) -> Detections:
+def sniff(data: bytes) -> bool:
+    """Say whether a file is an SQLite database."""
+    return data.startswith(MAGIC)
+
+
+def read_detections(file: File, how: How) -> Detections:
     """Read the DETECTIONS table; SAMPLES_CLK, a sample count, is kept but is not a time.
 
     Raises
@@ -30,10 +36,11 @@ def read_file(path: str | Path) -> Detections:
     InputError
         If the file is no ATLAS database, or a row lacks BS, TAG or TIME.
     """
-    name = str(path)
+    name = file.name
     try:
-        base = sqlite3.connect(f"{Path(path).resolve().as_uri()}?mode=ro", uri=True)
+        base = sqlite3.connect(":memory:")
         try:
+            base.deserialize(file.data)
             there = {r[1].upper() for r in base.execute("PRAGMA table_info(DETECTIONS)")}
             lacking = [c for c in ("BS", "TAG", "TIME") if c not in there]
             if lacking:
@@ -46,7 +53,7 @@ def read_file(path: str | Path) -> Detections:
             rows = base.execute(f"SELECT {columns} FROM DETECTIONS ORDER BY rowid").fetchall()
         finally:
             base.close()
-    except sqlite3.Error as e:
+    except (sqlite3.Error, OverflowError) as e:
         raise InputError(f"broken SQLite file ({e})", file=name) from None
     kept = list(dict.fromkeys(rows))
     time = [_ns(r[2], i, name) for i, r in enumerate(kept, 1)]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
-import polars as pl
+import numpy as np
 
 from maloc.data.detections import Detections
 from maloc.data.readers import _build, _clock
 from maloc.data.readers._columns import plain
+from maloc.data.readers._how import How
 from maloc.data.readers._text import Table
 
 __all__ = ["NAME", "TITLE", "matches", "read"]
@@ -22,13 +23,13 @@ def matches(table: Table) -> bool:
     return {"timestamp", "detect_id"} <= {plain(c) for c in table.columns}
 
 
-def read(table: Table, tz: str | None = None) -> Detections:
+def read(table: Table, how: How) -> Detections:
     """Read a kaltoa table; the receiver is the file's name without its ending.
 
     Raises
     ------
     InputError
-        If `tz` is not given: the table does not say its zone (kaltoa's own example is CET).
+        If `how.tz` is not given: the table does not say its zone (kaltoa's own example is CET).
     """
     simple = [plain(c) for c in table.columns]
     when, tag = simple.index("timestamp"), simple.index("detect_id")
@@ -37,7 +38,9 @@ def read(table: Table, tz: str | None = None) -> Detections:
     table = _build.merge_notes(
         table, table.note("info", f"the table names no receiver: '{receiver}' from the file's name")
     )
-    time, _ = _clock.stamps(table, when, tz)
+    time, _ = _clock.stamps(table, when, how.tz)
     extra = _build.extras(table, {"type": simple.index("type")} if "type" in simple else {})
-    names = pl.Series([receiver] * len(table), dtype=pl.String)
-    return _build.detections(table, "kaltoa table", time, names, table.text(tag), extra)
+    name = _build.Ids([receiver], np.zeros(len(table), np.int64))
+    used = [when, tag, *(simple.index(c) for c in ("type",) if c in simple)]
+    ids = _build.Ids.of(table.text(tag))
+    return _build.detections(table, "kaltoa table", time, name, ids, extra, used)

@@ -11,8 +11,11 @@ import polars as pl
 from maloc.data._time import NS
 from maloc.data.detections import Detections
 from maloc.data.readers import _build, _clock
+from maloc.data.readers._build import Ids
 from maloc.data.readers._columns import DETECTION, find, locate, plain
+from maloc.data.readers._how import How
 from maloc.data.readers._text import Table
+from maloc.data.readers.networks import with_codespace
 
 __all__ = ["NAME", "TITLE", "matches", "read", "unix_time"]
 
@@ -34,15 +37,15 @@ def matches(table: Table) -> bool:
     return {"receiver", "tag"} <= roles.keys() and ("time" in roles or "epo" in roles)
 
 
-def read(table: Table, tz: str | None = None) -> Detections:
+def read(table: Table, how: How) -> Detections:
     """Read a plain table.
 
     Parameters
     ----------
     table : Table
         The file.
-    tz : str, optional
-        Zone of stamps that name none; UTC when not given, unless the header says local.
+    how : How
+        `tz`: zone of stamps that name none; UTC when not given, unless the header says local.
 
     Raises
     ------
@@ -57,26 +60,28 @@ def read(table: Table, tz: str | None = None) -> Detections:
     else:
         k = roles["time"]
         table = _build.clean(table, [k, roles["receiver"], roles["tag"]])
-        local = "local" in plain(table.columns[k])
+        name = plain(table.columns[k])
         if _is_number(table, k):
             time, known = _clock.seconds(table, k)
             _clock.refuse_outside(table, time, known, k)
         else:
-            time, _ = _clock.stamps(table, k, tz or (None if local else "UTC"))
-    tag = table.text(roles["tag"])
+            time, _ = _clock.stamps(table, k, _zone(name, how))
+    tag = Ids.of(table.text(roles["tag"]))
     if "codespace" in roles:
-        space = table.text(roles["codespace"])
-        bare = ~tag.str.contains("-", literal=True).fill_null(True) & space.is_not_null()
-        joined = pl.select(pl.concat_str([space, tag], separator="-")).to_series()
-        tag = joined.zip_with(bare, tag) if len(tag) else tag
+        space = Ids.of(table.text(roles["codespace"]).fill_null(""))
+        tag = space.join(tag, "\n").to(with_codespace)
     optional = ("signal", "noise", "snr", "sensor", "sensor_unit", "depth", "station")
     taken = {roles[r] for r in ("receiver", "tag")}
-    extra = _build.extras(
-        table, {r: roles[r] for r in optional if r in roles and roles[r] not in taken}
-    )
-    return _build.detections(
-        table, "detections table", time, table.text(roles["receiver"]), tag, extra
-    )
+    wanted = {r: roles[r] for r in optional if r in roles and roles[r] not in taken}
+    extra = _build.extras(table, wanted)
+    receiver = Ids.of(table.text(roles["receiver"]))
+    return _build.detections(table, "detections table", time, receiver, tag, extra, roles.values())
+
+
+def _zone(name: str, how: How) -> str | None:
+    if name.endswith("utc"):
+        return "UTC"
+    return how.tz or (None if "local" in name else "UTC")
 
 
 def _is_number(table: Table, k: int) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import polars as pl
 
 from maloc.data._time import NS
 from maloc.data.detections import Detections
 from maloc.data.readers import _build, _clock
+from maloc.data.readers._build import Ids
 from maloc.data.readers._columns import plain
+from maloc.data.readers._how import How
 from maloc.data.readers._text import Table
 
 __all__ = ["NAME", "TITLE", "matches", "read"]
@@ -25,11 +26,11 @@ def matches(table: Table) -> bool:
     return simple >= _OLD or simple >= _NEW
 
 
-def read(table: Table, tz: str | None = None) -> Detections:
+def read(table: Table, how: How) -> Detections:
     """Read a Thelma export; the tag id is code space and number, such as "R64K-345".
 
     Times come from the Unix column (and `Millisecond`, an integer count: 5 = .005 s); the date
-    column must agree with it. `tz` is not needed.
+    column must agree with it. No zone is needed.
 
     Raises
     ------
@@ -46,15 +47,15 @@ def read(table: Table, tz: str | None = None) -> Detections:
     if old:
         time = time + _milliseconds(table, at["millisecond"], time)
     _check_dates(table, simple, time)
-    space = table.text(at[code]).str.replace(r"-.*$", "")
-    number = table.text(at["id"])
-    tag = pl.select(pl.concat_str([space, number], separator="-")).to_series()
+    space = Ids.of(table.text(at[code])).to(lambda name: name.partition("-")[0])
+    tag = space.join(Ids.of(table.text(at["id"])))
     names = {"sensor": "data", "snr": "signal_to_noise_ratio" if old else "snr"}
     wanted = {role: simple.index(c) for role, c in names.items() if c in simple}
     extra = _build.extras(table, wanted, missing=("-",))
-    return _build.detections(
-        table, f"Thelma CSV ({'old' if old else 'new'})", time, table.text(at[who]), tag, extra
-    )
+    receiver, format = Ids.of(table.text(at[who])), f"Thelma CSV ({'old' if old else 'new'})"
+    dates = [k for k, c in enumerate(simple) if c.startswith("date_and_time")]
+    used = [*at.values(), *wanted.values(), *dates]
+    return _build.detections(table, format, time, receiver, tag, extra, used)
 
 
 def _milliseconds(table: Table, k: int, time: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Innovasea VUE detections CSV, and the one-header detections CSV of Fathom."""
+"""Innovasea VUE detections CSV."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import numpy as np
 
 from maloc.data.detections import Detections
 from maloc.data.readers import _build, _clock
+from maloc.data.readers._build import Ids
 from maloc.data.readers._columns import plain
+from maloc.data.readers._how import How
 from maloc.data.readers._text import Table
 
-__all__ = ["NAME", "TITLE", "is_events", "matches", "read", "zone"]
+__all__ = ["NAME", "TITLE", "matches", "read", "serial_number", "zone"]
 
 NAME = "vue"
 TITLE = "VUE detections CSV (Date and Time (UTC), Receiver, Transmitter, ...)"
@@ -32,11 +34,11 @@ def _roles(columns: tuple[str, ...]) -> dict[str, int]:
     simple = [plain(c) for c in columns]
     out = {}
     for k, name in reversed(list(enumerate(simple))):
-        if name.startswith(("date_and_time", "device_time")):
+        if name.startswith("date_and_time"):
             out["time"] = k
-        elif name in ("receiver", "serial_number"):
+        elif name == "receiver":
             out["receiver"] = k
-        elif name in ("transmitter", "full_id"):
+        elif name == "transmitter":
             out["tag"] = k
     return out
 
@@ -46,7 +48,7 @@ def matches(table: Table) -> bool:
     return len(_roles(table.columns)) == 3
 
 
-def read(table: Table, tz: str | None = None) -> Detections:
+def read(table: Table, how: How) -> Detections:
     """Read VUE detections.
 
     `Receiver` is MODEL-SERIAL, split at the last dash: serial to `receiver`, model to
@@ -56,8 +58,8 @@ def read(table: Table, tz: str | None = None) -> Detections:
     ----------
     table : Table
         The file.
-    tz : str, optional
-        Zone of a local-time export.
+    how : How
+        `tz`: zone of a local-time export.
 
     Raises
     ------
@@ -66,23 +68,30 @@ def read(table: Table, tz: str | None = None) -> Detections:
     """
     roles = _roles(table.columns)
     table = _build.clean(table, [roles["time"], roles["receiver"], roles["tag"]])
-    time, _ = _clock.stamps(table, roles["time"], zone(table, roles["time"], tz))
-    full = table.text(roles["receiver"])
-    serial = full.str.extract(r"([^-]+)$").fill_null(full)
+    time, _ = _clock.stamps(table, roles["time"], zone(table, roles["time"], how.tz))
+    full = Ids.of(table.text(roles["receiver"]))
     simple = [plain(c) for c in table.columns]
     wanted = {name: simple.index(c) for name, c in _EXTRA.items() if c in simple}
     extra = _build.extras(table, wanted)
-    model = full.str.extract(r"^(.+)-[^-]+$")
-    if model.null_count() < len(model):
-        extra["model"] = model.to_numpy().astype(object)
+    models = [n.rpartition("-")[0] or None for n in full.names]
+    if any(models):
+        extra["model"] = np.array([*models, None], dtype=object)[full.code]
     extra |= _places(table, simple)
-    return _build.detections(
-        table, "VUE detections CSV", time, serial, table.text(roles["tag"]), extra
-    )
+    used = [*roles.values(), *wanted.values()]
+    used += [simple.index(c) for c in ("latitude", "longitude", "sensor_precision") if c in simple]
+    serial, tag = full.to(serial_number), Ids.of(table.text(roles["tag"]))
+    return _build.detections(table, "VUE detections CSV", time, serial, tag, extra, used)
+
+
+def serial_number(name: str) -> str:
+    """Return the serial in MODEL-SERIAL, which begins after the last dash."""
+    return name.rpartition("-")[2] or name
 
 
 def _places(table: Table, simple: list[str]) -> dict[str, np.ndarray]:
-    if "latitude" not in simple or "longitude" not in simple:
+    if not {"latitude", "longitude"} <= set(simple):
+        return {}
+    if all(table.empty(simple.index(c)) for c in ("latitude", "longitude")):
         return {}
     lat, lon = (table.numbers(simple.index(c)) for c in ("latitude", "longitude"))
     nowhere = (lat == 0) & (lon == 0)
@@ -105,17 +114,13 @@ def zone(table: Table, k: int, tz: str | None) -> str | None:
     said = inside.group(1).strip() if inside else ""
     if said.upper() in ("UTC", "GMT", "Z"):
         return "UTC"
+    if fixed := re.fullmatch(r"(?:UTC|GMT)\s*([+-])(\d{1,2})(?::?([03]0))?", said, re.IGNORECASE):
+        sign, hours, minutes = fixed.groups()
+        if minutes in (None, "00") and int(hours) <= 14:
+            return f"Etc/GMT{'-' if sign == '+' else '+'}{int(hours)}"
     if tz is None and said.lower() not in ("", "local"):
         raise table.error(
             f"time zone '{said}' of column '{name}' is not known",
             mend='say it, tz="Europe/Copenhagen" or tz="Etc/GMT+5" (or export in UTC)',
         )
     return tz
-
-
-def is_events(table: Table) -> bool:
-    """Say whether the header is that of VUE's receiver events export."""
-    simple = {plain(c) for c in table.columns}
-    return {"receiver", "description", "data"} <= simple and any(
-        c.startswith("date_and_time") for c in simple
-    )
