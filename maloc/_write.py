@@ -41,9 +41,11 @@ def write_track(
             _output.write_table(pl.concat(parts, how="diagonal_relaxed"), folder / f"{name}.csv")
     several = len(fitted) > 1
     with log.stage("posterior"):
+        from maloc.infer._export import write_posterior
+
         for f in fitted:
             path = folder / file_name("posterior", f.toa.tag, several, "nc")
-            f.fit.to_datatree().to_netcdf(path, engine="h5netcdf")
+            write_posterior(f.fit, path, [f.toa.tag], f.toa.origin, f.toa.receivers.crs)
     with log.stage("figures"):
         from matplotlib.figure import Figure
 

@@ -37,7 +37,10 @@ def write_encounters(
         if fitted.missed is not None:
             _output.write_table(fitted.missed, folder / "missed.csv")
     with log.stage("posterior"):
-        fitted.fit.to_datatree().to_netcdf(folder / "posterior.nc", engine="h5netcdf")
+        from maloc.infer._export import write_posterior
+
+        path, crs = folder / "posterior.nc", history.receivers.crs
+        write_posterior(fitted.fit, path, history.tags, history.origin, crs)
     with log.stage("figures"):
         from matplotlib.figure import Figure
 

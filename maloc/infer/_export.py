@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +15,7 @@ from maloc.data.model_data import ToaData
 if TYPE_CHECKING:
     from maloc.infer.result import Fit
 
-__all__ = ["to_datatree", "to_inference_data"]
+__all__ = ["to_datatree", "to_inference_data", "write_posterior"]
 
 
 def _groups(fit: Fit) -> dict:
@@ -136,7 +138,50 @@ def to_datatree(fit: Fit):
     import xarray as xr
 
     groups = {f"/{name}": group for name, group in _groups(fit).items()}
+    if (movement := _movement(fit)) is not None:
+        groups["/movement"] = movement
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs={"creator": "maloc"}), **groups})
+
+
+def _movement(fit: Fit):
+    """What a prediction needs besides the path's draws: see `maloc.predict`."""
+    import xarray as xr
+
+    from maloc.infer import predict
+
+    if not any(issubclass(s.law, predict.MarkovPath) for s in fit.cm.chain):
+        return None
+    site = predict.path_site(fit.cm)
+    x, u = fit.flat_draws()
+    lead = x.shape[:2]
+    read = predict.read_law(fit, *(v.reshape(-1, *v.shape[2:]) for v in (x, u)))
+    n = fit.n_states
+    tag = read["tag"][0][:n] if "tag" in read else np.zeros(n, int)
+    first = np.unique(tag, return_index=True)[1]
+    told, time = predict.clock_parts(fit, read)
+    variables = {
+        "time": (("state",), time[0] if time.ndim > 1 else time),
+        "told": (("state",), told),
+        "tag": (("state",), tag),
+    }
+    for name in (*site.law.scale_names, "centre"):
+        if name in read:
+            value = predict.by_tag(read[name], first, name == "centre")
+            dims = ("chain", "draw", "which", "axis")[: value.ndim + 1]
+            variables[name] = (dims, value.reshape(*lead, *value.shape[1:]))
+    return xr.Dataset(variables, attrs={"law": site.law.__name__, "path": site.name})
+
+
+def write_posterior(
+    fit: Fit, path: Path, tags: Sequence[str], origin: int | None, crs: str | None
+) -> None:
+    """Write ``posterior.nc``, with the tags' names, time 0 (ns since 1970 UTC) and the frame."""
+    tree = fit.to_datatree()
+    known = {"tags": list(tags)}
+    known |= {} if origin is None else {"origin": np.int64(origin)}
+    known |= {} if crs is None else {"crs": crs}
+    tree.attrs |= known
+    tree.to_netcdf(path, engine="h5netcdf")
 
 
 def to_inference_data(fit: Fit):

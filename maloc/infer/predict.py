@@ -235,16 +235,29 @@ def path_site(cm: ChainModel):
 def _path(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     """Paths of one tag in flat draws x (D, T, d), u (D, k)."""
     site = path_site(fit.cm)
-    read = _reader(fit.cm, site.name)(jnp.asarray(x), jnp.asarray(u), fit.args)
-    read = {k: np.asarray(v) for k, v in read.items()}
-    mine = states_of(fit, read.pop("tag", None), tag)
-    clock = _clock(fit, read, mine)
+    read = read_law(fit, x, u)
+    mine = states_of(fit, read.get("tag"), tag)
+    told, time = clock_parts(fit, read)
+    clock = np.broadcast_to(time, (len(x), fit.n_states))[:, mine]
+    if told.any():
+        clock = np.where(told[mine], read["emission_time"][:, mine], clock)
     state = x[:, mine, site.columns].reshape(len(x), len(mine), -1, site.tail[-1])
-    home = read.get("centre")
-    if home is not None and home.ndim == 3:
-        home = home[:, mine[0]]
-    scale = {k: read[k][:, mine[0]] if read[k].ndim > 1 else read[k] for k in site.law.scale_names}
-    return PathDraws(site.law, scale, clock, state, home)
+    scale = {k: by_tag(read[k], mine[:1])[:, 0] for k in site.law.scale_names}
+    home = by_tag(read["centre"], mine[:1], True)[:, 0] if "centre" in read else None
+    return PathDraws(site.law, scale, in_order(clock), state, home)
+
+
+def read_law(fit: Fit, x: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
+    """What the path's law is made of, for flat draws x (D, T, d), u (D, k); padding too."""
+    read = _reader(fit.cm, path_site(fit.cm).name)(jnp.asarray(x), jnp.asarray(u), fit.args)
+    return {k: np.asarray(v) for k, v in read.items()}
+
+
+def by_tag(value: np.ndarray, first: np.ndarray, vector: bool = False) -> np.ndarray:
+    """A parameter (D,) or (D, T), or vectors of them, at the tags' first states: (D, N, ...)."""
+    if value.ndim == 1 + vector:
+        return np.repeat(value[:, None], len(first), axis=1)
+    return value[:, first]
 
 
 @functools.lru_cache(maxsize=32)
@@ -262,8 +275,7 @@ def _reader(cm: ChainModel, name: str):
             out["tag"] = law.tag
         if "emission_time" in trace:
             out["emission_time"] = trace["emission_time"]["value"]
-        else:
-            out["dt"] = law.dt
+        out["dt"] = law.dt
         return out
 
     return jax.jit(lambda x, u, args: jax.lax.map(lambda draw: one(draw, args), (x, u)))
@@ -278,20 +290,28 @@ def states_of(fit: Fit, tags: np.ndarray | None, tag: int) -> np.ndarray:
     return mine
 
 
-def _clock(fit: Fit, read: dict[str, np.ndarray], mine: np.ndarray) -> np.ndarray:
-    """Times of the states in each draw (D, T), s: of emission where something tells of it."""
-    data = fit.args[0] if fit.args else None
-    if isinstance(data, ToaData):
-        clock = read["emission_time"][:, mine]
-    elif isinstance(data, EncounterData | JointData):
-        draws = len(next(iter(read.values())))
-        clock = np.tile(np.asarray(data.time)[mine], (draws, 1))
-        if isinstance(data, JointData) and "emission_time" in read:
-            told = emission_told(data)[mine]
-            clock = np.where(told, read["emission_time"][:, mine], clock)
-    else:
-        dt = read["dt"][:, mine[0] : mine[-1]]
-        clock = np.concatenate([np.zeros((len(dt), 1)), np.cumsum(dt, axis=1)], axis=1)
+def clock_parts(fit: Fit, read: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Where a state stands at its emission time (T,) bool, and its time elsewhere, s.
+
+    The time is (T,), or (D, T) in a model of somebody's own, whose tags all begin at 0.
+    """
+    data, n = fit.args[0] if fit.args else None, fit.n_states
+    if isinstance(data, ToaData | EncounterData | JointData):
+        told = np.zeros(n, bool)
+        if "emission_time" in read:
+            told = emission_told(data)[:n] if isinstance(data, JointData) else ~told
+        return told, np.asarray(data.time)[:n]
+    dt = read["dt"][:, : n - 1]
+    clock = np.concatenate([np.zeros((len(dt), 1)), np.cumsum(dt, axis=1)], axis=1)
+    if "tag" in read:
+        tag = read["tag"][0][:n]
+        starts = np.concatenate([[True], tag[1:] != tag[:-1]])
+        clock = clock - clock[:, np.maximum.accumulate(np.where(starts, np.arange(n), 0))]
+    return np.zeros(n, bool), clock
+
+
+def in_order(clock: np.ndarray) -> np.ndarray:
+    """Times of states (D, T), s, made to ascend strictly."""
     least = 1e-6 * np.arange(clock.shape[1])  # states at one instant stay in order
     return np.maximum.accumulate(clock - least, axis=1) + least
 
@@ -323,8 +343,7 @@ def _laplace(fit: LaplaceFit, times: np.ndarray, tag: int) -> Prediction:
     site = path_site(cm)
     path = _path(fit, m.x[None], m.u[None], tag)
     found, mean = between(path, times[None])
-    read = _reader(cm, site.name)(jnp.asarray(m.x[None]), jnp.asarray(m.u[None]), fit.args)
-    mine = states_of(fit, np.asarray(read["tag"]) if "tag" in read else None, tag)
+    mine = states_of(fit, read_law(fit, m.x[None], m.u[None]).get("tag"), tag)
     column = site.columns
     own = m.factor.covariances()
     beside = m.factor.neighbours(own)[mine[:-1], column, column]
