@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from maloc.data._codespaces import canonical
 from maloc.errors import InputError
 
 __all__ = ["match_tag"]
@@ -17,7 +18,8 @@ def match_tag(tags: Iterable[str], short: object) -> str:
     tags : iterable of str
         Full ids known.
     short : str or int
-        A full id, or its ending after a dash ("15266" or "1602-15266" for "A69-1602-15266").
+        A full id, or its ending after a dash ("15266" or "1602-15266" for "A69-1602-15266"), or
+        another maker's name for it ("A69-1303-345" for "R64K-345").
 
     Returns
     -------
@@ -34,6 +36,7 @@ def match_tag(tags: Iterable[str], short: object) -> str:
     if wanted in known:
         return wanted
     found = [t for t in known if t.endswith(f"-{wanted}")] if wanted else []
+    found = found or [t for t in known if canonical(t) == canonical(wanted)]
     if len(found) == 1:
         return found[0]
     if found:

@@ -121,7 +121,7 @@ def correct_clocks(detections: Detections, references: ClockReferences) -> Detec
     for name in detections.receivers:
         mine = np.flatnonzero(detections.receiver == name)
         runs = _runs(references, name)
-        ends = [*(r.start for r in runs[1:]), np.iinfo(np.int64).max]
+        ends = [r.start for r in runs[1:]] + [np.iinfo(np.int64).max] * bool(runs)
         for run, end in zip(runs, ends, strict=True):
             rows = mine[(time[mine] >= run.start) & (detections.time[mine] < end) & ~done[mine]]
             shift = _lines(detections.time[rows], run)

@@ -178,10 +178,26 @@ class _Work(Sorting):
             origin,
             np.arange(1, n + 1),
             schedule,
+            self._depth(n),
             detection=source,
             set_aside=self.set_aside(),
             report=report.add(*self.notes),
         )
+
+    def _depth(self, n: int) -> np.ndarray | None:
+        """Depth that the tag's sensor sent with each ping, m: the median of who heard it."""
+        depth = self.detections.extra.get("depth")
+        if depth is None or depth.dtype.kind not in "iuf":
+            return None
+        sent = np.asarray(depth, float)[self.rows]
+        known = np.flatnonzero(np.isfinite(sent))
+        if not len(known):
+            return None
+        order = known[np.lexsort((sent[known], self.ping[known]))]
+        ping, first, count = np.unique(self.ping[order], return_index=True, return_counts=True)
+        out = np.full(n, np.nan)
+        out[ping] = (sent[order[first + (count - 1) // 2]] + sent[order[first + count // 2]]) / 2
+        return out
 
     def _remarks(self, toa: np.ndarray) -> None:
         heard = np.isfinite(toa)

@@ -175,13 +175,14 @@ def read_positions(path: str | Path, crs: str | None = None, tz: str | None = No
 
 
 def read_receivers(path: str | Path, crs: str | None = None) -> Receivers:
-    """Read the table of receivers, one row a deployment (CSV, gzip'd CSV, Parquet).
+    """Read the table of receivers, one row a deployment (CSV, Parquet, a sheet of a workbook).
 
     Parameters
     ----------
     path : str or Path
         The file. Columns: `receiver` (serial or name), `x`, `y` (m) or `longitude`, `latitude`
-        (degrees), optional `depth` (m, down), `sync_tag`, `start`, `end` (UTC); aliases are read.
+        (degrees), optional `depth` (m, down), `sync_tag`, `start`, `end` (UTC); aliases are read,
+        and the deployment sheets of OTN, GLATOS, ETN and VPS projects.
     crs : str, optional
         Frame, such as "EPSG:32617": of x, y as they are, or to project longitude and latitude to
         (default: the UTM zone of the array's centre).
@@ -196,10 +197,16 @@ def read_receivers(path: str | Path, crs: str | None = None) -> Receivers:
     InputError
         If a column or a coordinate is missing, or deployments are impossible.
     """
-    from maloc.data.readers._text import read_table
-    from maloc.data.readers.receivers import receivers_from_table
+    from maloc.data.readers._files import load, load_all
+    from maloc.data.readers._text import table_of
+    from maloc.data.readers.receivers import matches, receivers_from_table
 
-    return receivers_from_table(read_table(path), crs=crs)
+    files = load_all(path)
+    if len(files) > 1:  # the sheet of a workbook, the member of an archive, that is one
+        tables = [t for t in map(table_of, files) if matches(t)]
+        if len(tables) == 1:
+            return receivers_from_table(tables[0], crs=crs)
+    return receivers_from_table(table_of(load(path)), crs=crs)
 
 
 def read_toa(

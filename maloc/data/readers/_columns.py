@@ -26,18 +26,19 @@ DETECTION = {
 }
 RECEIVER = {
     "receiver": "receiver serial receiver_id serial_number receiver_serial receiver_serial_number "
-    "receiver_sn ins_serial_no hydro hydrophone station station_name name id",
+    "receiver_sn ins_serial_no hydro hydrophone station station_name station_no name id",
     "x": "x easting utm_x hx x_m",
     "y": "y northing utm_y hy y_m",
     "longitude": "longitude lon long lng deploy_longitude deploy_long deploy_lon longitude_deg "
     "decimallongitude stn_long",
     "latitude": "latitude lat deploy_latitude deploy_lat latitude_deg decimallatitude stn_lat",
-    "depth": "depth z depth_m hz receiver_depth instrument_depth deploy_depth",
+    "depth": "depth z depth_m hz receiver_depth instrument_depth deploy_depth device_depth",
     "sync_tag": "sync_tag synctag sync_tag_id sync transmitter beacon beacon_id",
     "start": "start start_utc start_time start_time_utc deploy_date_time deploy_date deployed "
+    "deploy_date_time_yyyy_mm_ddthh_mm_ss "
     "deployment_start",
     "end": "end end_utc end_time end_time_utc stop stop_utc stop_time recover_date_time "
-    "recovery_date recover_date deployment_end",
+    "recovery_date recover_date recover_date_time_yyyy_mm_ddthh_mm_ss deployment_end",
 }
 TAG = {
     "tag": "tag tag_id transmitter acoustic_tag_id full_id tag_code tagname code transmitter_id "

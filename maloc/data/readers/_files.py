@@ -9,6 +9,7 @@ import zlib
 from pathlib import Path
 from typing import NamedTuple
 
+from maloc.data.readers._workbook import sheets
 from maloc.errors import InputError
 
 __all__ = ["File", "load", "load_all"]
@@ -101,7 +102,7 @@ def _members(name: str, data: bytes) -> list[File]:
             if not m.endswith("/") and not m.startswith(_SKIPPED) and "/." not in m
         ]
         if "[Content_Types].xml" in inside:  # an Excel workbook is a zip archive too
-            return [File(name, data)]
+            return [File(*sheet) for sheet in sheets(name, data)]
         if not inside:
             raise InputError("an archive without files", file=name)
         return [File(f"{name}/{m}", archive.read(m)) for m in inside]

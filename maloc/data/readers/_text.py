@@ -20,7 +20,8 @@ MISSING = ("", "NA", "N/A", "NaN", "nan", "NAN", "NaT", "null", "NULL", "None")
 DELIMITERS = (",", ";", "\t", "|")
 TITLE_LINES = 8
 BOM = b"\xef\xbb\xbf"
-_SHEET = re.compile(r"INS_SERIAL_NO|ins_serial_no")  # OTN's sheets have a title above the header
+# sheets with a title above the header: OTN's deployments, stations of a VPS project
+_SHEET = re.compile(r"\bINS_SERIAL_NO\b|\bDevice Depth\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)

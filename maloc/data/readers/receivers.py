@@ -8,6 +8,7 @@ import polars as pl
 from maloc.data._time import OPEN_END, OPEN_START
 from maloc.data.readers import _build, _clock
 from maloc.data.readers._columns import RECEIVER, find, locate, unnamed
+from maloc.data.readers._sheets import is_vps_sheet, moved_moorings, vps_sheet
 from maloc.data.readers._text import Table, from_frame
 from maloc.data.receivers import Receivers, collinear, deployment_problem
 from maloc.data.report import Note, ReadReport
@@ -17,6 +18,8 @@ __all__ = ["COLLINEAR", "matches", "receivers_from_frame", "receivers_from_table
 
 def matches(table: Table) -> bool:
     """Say whether a receiver and its place can be found in the header."""
+    if is_vps_sheet(table):
+        return True
     roles = find(table.columns, RECEIVER, set(RECEIVER))
     return "receiver" in roles and (
         {"x", "y"} <= roles.keys() or {"longitude", "latitude"} <= roles.keys()
@@ -30,6 +33,8 @@ def receivers_from_frame(df: pl.DataFrame, crs: str | None = None) -> Receivers:
 
 def receivers_from_table(table: Table, crs: str | None = None) -> Receivers:
     """Build Receivers from a table; see `maloc.read_receivers`."""
+    if is_vps_sheet(table):
+        table = vps_sheet(table)
     roles = locate(table, RECEIVER)
     if "receiver" not in roles:
         raise table.error(
@@ -48,6 +53,7 @@ def receivers_from_table(table: Table, crs: str | None = None) -> Receivers:
     table = _unique(table)
     notes = [*table.notes, *_ignored(table, roles, metres and degrees)]
     name = table.text(roles["receiver"])
+    notes += moved_moorings(table, name)
     pair = ("x", "y") if metres else ("longitude", "latitude")
     a, b = _coordinates(table, roles, pair, name)
     if degrees and not metres:
