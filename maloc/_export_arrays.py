@@ -28,9 +28,14 @@ def _dataset(run: Finished):
                 continue
             values = dated(table, "netcdf").dt.replace_time_zone(None).to_numpy()
             variables[name] = ("obs", values.astype("datetime64[ns]"))
+        elif name == "tag":
+            tags = column.fill_null("").to_list()
+            names = list(dict.fromkeys(tags))
+            meaning = " ".join(n.replace(" ", "_") for n in names)
+            known = {"flag_values": np.arange(len(names)), "flag_meanings": meaning}
+            variables[name] = ("obs", np.array([names.index(t) for t in tags]), known)
         else:
-            values = column.fill_null("").to_numpy() if name == "tag" else column.to_numpy()
-            values = values.astype(str) if name == "tag" else values
+            values = column.to_numpy()
             unit = {"units": _UNITS[name]} if name in _UNITS else {}
             variables[name] = ("obs", values, unit)
     if run.draws is not None:
