@@ -103,7 +103,7 @@ def with_sound_speed(
     """
     if toa.origin is None:
         raise InputError("the arrival times have no date: a table of the water cannot be met")
-    time, speed = _speeds(table, salinity, depth)
+    time, speed = speed_table(table, salinity, depth)
     at = toa.first + toa.origin / _NS
     heard = at[np.isfinite(at)]
     if len(heard) and (heard.max() < time[0] - 86_400 or heard.min() > time[-1] + 86_400):
@@ -111,7 +111,9 @@ def with_sound_speed(
     return toa.replace(sound_speed=np.interp(at, time, speed), sound_speed_sd=float(sd))
 
 
-def _speeds(table: Any, salinity: float | None, depth: float) -> tuple[np.ndarray, np.ndarray]:
+def speed_table(
+    table: Any, salinity: float | None = None, depth: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Times (s since 1970 UTC, ascending) and sound speeds of a table."""
     import polars as pl
 

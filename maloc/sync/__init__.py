@@ -6,6 +6,6 @@ animals' own tags, to about a second.
 
 from maloc.sync._fit import fit
 from maloc.sync._rough import rough
-from maloc.sync.clocks import ClockSync, SyncResiduals
+from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
 
-__all__ = ["ClockSync", "SyncResiduals", "fit", "rough"]
+__all__ = ["ClockJumps", "ClockSync", "SyncResiduals", "fit", "rough"]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-__all__ = ["BlockFactor", "factor", "selected_inverse", "solve"]
+__all__ = ["BlockFactor", "draw", "factor", "selected_inverse", "solve"]
 
 
 class BlockFactor(NamedTuple):
@@ -82,3 +82,12 @@ def selected_inverse(f: BlockFactor) -> tuple[np.ndarray, np.ndarray]:
             off[k] = -gain @ diagonal[k + 1]
             diagonal[k] -= off[k] @ gain.T
     return diagonal, off
+
+
+def draw(f: BlockFactor, z: np.ndarray) -> np.ndarray:
+    """Turn standard normal numbers `z` (K, n, m) into m draws with the inverse as covariance."""
+    x = np.empty_like(z)
+    last = len(z) - 1
+    for k in range(last, -1, -1):
+        x[k] = f.inverse[k].T @ (z[k] - f.upper[k] @ x[k + 1] if k < last else z[k])
+    return x

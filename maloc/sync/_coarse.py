@@ -1,8 +1,9 @@
-"""Coarse alignment: clock offsets of up to a day and drifts of up to a minute a day, by voting.
+"""Coarse alignment: offsets of up to a day, drifts of up to a minute a day, and jumps.
 
 Every detection of a sync tag, less its travel time, is an emission time on the receiver's own
-clock. All differences to emission times of the same tag on clocks already aligned are counted in
-bins; the true offset collects the votes of every ping that both heard, wrong pairings spread out.
+clock. A vote over a short window (`_votes`) finds the offset to emission times known from clocks
+already aligned; from there it is followed forwards and backwards as long as detections match. Where
+they cease to, the clock has jumped, and votes over what is left find its next stretch.
 """
 
 from __future__ import annotations
@@ -11,196 +12,87 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["CoarseClock", "align"]
+from maloc.sync._votes import DRIFT, pairs, vote
 
-DRIFT = 8e-4  # largest believable drift, s/s (69 s a day)
-WINDOW = 6 * 3600.0  # at most this far between votes, s
+__all__ = ["FEW", "CoarseClock", "Stretch", "align"]
+
 FEW = 6  # fewer detections than this cannot be aligned
 BEND = 3e-5  # largest change of drift that is no jump, s/s
 NODE = 1800.0  # spacing of the piecewise-linear offset, s
+MATCH = 0.3  # emission times this near are of one ping, s
+WINDOW = 80  # detections that vote together
+CHUNK = 40  # detections by which a stretch grows
+SPAN = 4 * 3600.0  # at most this long, s, both
+STEP = 0.15  # smaller jumps are left to the joint model, s
+SHORTEST = 10  # detections that make a stretch after a jump
 
 
-class CoarseClock(NamedTuple):
-    """Piecewise-linear offset of one receiver.
+class Stretch(NamedTuple):
+    """Piecewise-linear offset of one receiver between two jumps.
 
     Attributes
     ----------
     time : array (M,)
-        The receiver's own clock, s.
+        The receiver's own clock, s, ascending.
     offset : array (M,)
-        Own clock minus reference clock, s.
+        Own clock minus the common one, s.
     drift : float
         Slope used beyond the ends, s/s.
-    start, end : float
-        Where on its own clock the receiver was aligned, s; infinite when everywhere.
-    jump : float
-        Largest jump found and not followed, s; 0 = none.
-    ambiguous : bool
-        Another offset had nearly as many votes (sync tags with one common, regular interval).
+    rows : array of int
+        Its detections, ascending in own time.
     """
 
     time: np.ndarray
     offset: np.ndarray
     drift: float
-    start: float = -np.inf
-    end: float = np.inf
-    jump: float = 0.0
-    ambiguous: bool = False
+    rows: np.ndarray
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Offset (N,) at times (N,) of the receiver's own clock, s."""
         inside = np.clip(time, self.time[0], self.time[-1])
         return np.interp(inside, self.time, self.offset) + self.drift * (time - inside)
 
-
-class _Vote(NamedTuple):
-    time: float
-    offset: float
-    votes: int
-    first: float
-    last: float
-    ambiguous: bool
+    @property
+    def common(self) -> np.ndarray:
+        """Common time (M,) of the nodes, s."""
+        return self.time - self.offset
 
 
-def _pairs(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index pairs (i, j) with low[i] <= j < high[i]."""
-    count = high - low
-    i = np.repeat(np.arange(len(count)), count)
-    j = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(low, count)
-    return i, j
+class CoarseClock(NamedTuple):
+    """One receiver's clock: its stretches in time order.
 
-
-def _vote(time: np.ndarray, key: np.ndarray, known: np.ndarray, limit: float) -> _Vote | None:
-    """Find the offset that most same-tag differences within +-`limit` agree on; None if unclear."""
-    width = 0.3 + DRIFT * np.ptp(time) / 2
-    low, high = np.searchsorted(known, key - limit), np.searchsorted(known, key + limit)
-    i, j = _pairs(low, high)
-    if len(i) == 0:
-        return None
-    difference = key[i] - known[j]
-    n_bins = int(2 * limit / width) + 2
-    count = np.bincount(((difference + limit) / width).astype(int), minlength=n_bins + 1)
-    votes = count[:-1] + count[1:]  # overlapping double bins: no offset falls on an edge
-    best, ambiguous = int(votes.argmax()), False
-    rivals = np.flatnonzero(votes > 0.8 * votes[best])
-    if len(rivals) > 1 and np.ptp(rivals) > 2:  # regular intervals: every multiple has its votes
-        best, ambiguous = _sharpest(rivals, time[i], difference, width, limit)
-    near = np.abs(difference - ((best + 1) * width - limit)) <= width
-    distinct = len(np.unique(j[near]))
-    # differences of two records of equal length are twice as dense in the middle as on average
-    background = 2 * len(difference) * 2 * width / max(float(np.ptp(difference)), 2 * width)
-    chance = background + 5 * np.sqrt(background) + 4
-    if distinct < 5 or near.sum() <= chance:
-        return None
-    span = time[np.unique(i[near])]
-    offset = float(np.median(difference[near]))
-    votes_best = int(near.sum())
-    return _Vote(float(span.mean()), offset, votes_best, span[0], span[-1], ambiguous)
-
-
-def _sharpest(
-    rivals: np.ndarray, time: np.ndarray, difference: np.ndarray, width: float, limit: float
-) -> tuple[int, bool]:
-    """Bin whose differences scatter least about a line, or the one nearest 0 where that is unclear.
-
-    Even regular tags jitter, and only at the true offset does the jitter cancel.
+    Attributes
+    ----------
+    stretches : tuple of Stretch
+    ambiguous : bool
+        Another offset had nearly as many votes (sync tags with one common, regular interval).
     """
-    order = np.argsort(difference)
-    sorted_, centre = difference[order], (rivals + 1) * width - limit
-    spread = np.full(len(rivals), np.inf)
-    for n, c in enumerate(centre):
-        rows = order[slice(*np.searchsorted(sorted_, [c - width, c + width]))]
-        if len(rows) < 4:  # nothing to tell scatter from
-            continue
-        rows = rows[np.argsort(time[rows], kind="stable")]
-        half = len(rows) // 2
-        early, late = rows[:half], rows[half:]
-        run = np.median(time[late]) - np.median(time[early])
-        rise = np.median(difference[late]) - np.median(difference[early])
-        rest = difference[rows] - (rise / run if run > 0 else 0.0) * time[rows]
-        spread[n] = np.median(np.abs(rest - np.median(rest)))
-    best = int(spread.argmin())
-    other = spread[np.abs(rivals - rivals[best]) > 2].min(initial=np.inf)
-    if spread[best] < 0.5 * other:
-        return int(rivals[best]), False
-    return int(rivals[np.abs(centre).argmin()]), True
 
+    stretches: tuple[Stretch, ...]
+    ambiguous: bool = False
 
-def _windows(time: np.ndarray, most: int = 150) -> list[np.ndarray]:
-    """Row indices of windows along a sorted record, <= WINDOW apart, <= `most` rows each."""
-    span = float(time[-1] - time[0])
-    n = max(1, int(np.ceil(len(time) / most))) if span < WINDOW else int(np.ceil(span / WINDOW)) + 1
-    n = max(1, min(n, len(time) // FEW))
-    out = []
-    for rows in np.array_split(np.arange(len(time)), n):
-        middle = len(rows) // 2
-        out.append(rows[max(0, middle - most // 2) : middle + most // 2])
-    return out
+    @property
+    def jumps(self) -> list[tuple[float, float]]:
+        """Common time and size of each jump, s."""
+        out = []
+        for a, b in zip(self.stretches[:-1], self.stretches[1:], strict=True):
+            middle = 0.5 * (a.common[-1] + b.common[0])
+            before, after = (float(s.at(middle + s.offset[[i]])[0]) for s, i in ((a, -1), (b, 0)))
+            out.append((float(middle), after - before))
+        return out
 
+    @property
+    def jump(self) -> float:
+        """Largest jump, s; 0 = none."""
+        return max((size for _, size in self.jumps), key=abs, default=0.0)
 
-def _runs(time: np.ndarray, offset: np.ndarray, allowed: float, bend: float) -> list[slice]:
-    """Split where neighbours leave the common drift by more than `allowed` s + `bend` s/s."""
-    run, rise = np.diff(time), np.diff(offset)
-    if len(run) > 1:
-        rise = rise - np.median(rise / np.maximum(run, 1.0)) * run
-    else:
-        bend = DRIFT  # one step says nothing of the drift
-    cut = np.flatnonzero(np.abs(rise) > allowed + bend * run) + 1
-    edges = [0, *cut.tolist(), len(time)]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def _line(votes: list[_Vote], drift: float) -> CoarseClock:
-    time = np.array([v.time for v in votes])
-    offset = np.array([v.offset for v in votes])
-    clock = CoarseClock(time, offset, drift)
-    return clock._replace(drift=_slope(clock))
-
-
-def _rest(clock: CoarseClock, time: np.ndarray, key: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """How far each detection (N,) is from the nearest known emission under this offset, s."""
-    k = key - clock.at(time)
-    right = np.clip(np.searchsorted(known, k), 1, len(known) - 1)
-    nearest = np.where(np.abs(known[right] - k) < np.abs(known[right - 1] - k), right, right - 1)
-    return k - known[nearest]
-
-
-def _refine(
-    clock: CoarseClock, time: np.ndarray, key: np.ndarray, known: np.ndarray, tolerance: float
-) -> CoarseClock:
-    """Sharpen to medians of matched differences in windows of `NODE` seconds."""
-    rest = _rest(clock, time, key, known)
-    ok = np.abs(rest) < tolerance
-    x, e = time[ok], (clock.at(time) + rest)[ok]
-    if len(x) < FEW:
-        return clock
-    if len(clock.time) == 1:  # no slope yet: repeated medians of half against half
-        half = len(x) // 2
-        rise = np.median(e[half:]) - np.median(e[:half])
-        run = np.median(x[half:]) - np.median(x[:half])
-        clock = clock._replace(drift=float(rise / run) if run > 0 else 0.0)
-    flat = e - clock.drift * x
-    bins = ((x - x[0]) / NODE).astype(int)
-    cut = np.r_[0, np.flatnonzero(np.diff(bins)) + 1, len(x)]
-    nodes = [
-        (x[a:b].mean(), np.median(flat[a:b]))
-        for a, b in zip(cut[:-1], cut[1:], strict=True)
-        if b - a >= 5
-    ]
-    if not nodes:
-        nodes = [(x.mean(), np.median(flat))]
-    t, m = np.array(nodes).T
-    return clock._replace(time=t, offset=m + clock.drift * t)
-
-
-def _merge(known: np.ndarray, key: np.ndarray, within: float = 1.0) -> np.ndarray:
-    """Add emission times that are not known yet."""
-    right = np.clip(np.searchsorted(known, key), 1, len(known) - 1)
-    away = np.minimum(np.abs(known[right] - key), np.abs(known[right - 1] - key))
-    new = np.sort(key[away > within])
-    if len(new):
-        new = new[np.r_[True, np.diff(new) > within]]
-    return np.sort(np.concatenate([known, new]))
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Offset (N,) at own times (N,), by the stretch nearest in own time, s."""
+        away = [np.maximum(s.time[0] - time, time - s.time[-1]) for s in self.stretches]
+        nearest, out = np.argmin(away, axis=0), np.zeros(len(time))
+        for i, s in enumerate(self.stretches):
+            out[nearest == i] = s.at(time[nearest == i])
+        return out
 
 
 def align(
@@ -238,7 +130,7 @@ def align(
     shared = np.minimum(heard[:, None], heard[None]).sum(2)
 
     zero = np.zeros(1)
-    clocks = {reference: CoarseClock(zero, zero, 0.0)}
+    clocks = {reference: CoarseClock((Stretch(zero, zero, 0.0, rows[reference]),))}
     known = np.sort(key[rows[reference]])
     todo = [j for j in range(n_receivers) if j != reference and len(rows[j]) >= FEW]
     while todo and len(known) > 1:
@@ -249,68 +141,208 @@ def align(
                 break
         else:
             break
-        clocks[j] = clock
+        stretches = tuple(s._replace(rows=rows[j][s.rows]) for s in clock.stretches)
+        clocks[j] = clock._replace(stretches=stretches)
         todo.remove(j)
-        time = emission[rows[j]]
-        inside = (time >= clock.start) & (time <= clock.end)
-        known = _merge(known, (key[rows[j]] - clock.at(time))[inside])
+        for s in stretches:
+            known = _merge(known, key[s.rows] - s.at(emission[s.rows]))
     return clocks
 
 
 def _align_one(
     time: np.ndarray, key: np.ndarray, known: np.ndarray, limit: float
 ) -> CoarseClock | None:
-    votes = [v for w in _windows(time) if (v := _vote(time[w], key[w], known, limit)) is not None]
-    if not votes:
+    """Stretches of one clock; `rows` index its own detections."""
+    left = np.ones(len(time), bool)
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    windows, ambiguous, share = _windows(time), False, 0.0
+    first = [windows[i] for i in np.unique(np.linspace(0, len(windows) - 1, 16).astype(int))]
+    for n, window in enumerate([*first, *windows]):
+        if n == len(first) and not found:
+            return None  # windows all over the record found nothing
+        rows = window[left[window]]
+        if len(rows) < FEW - 1 or (found and len(rows) < len(window) * (1 - 0.5 * share)):
+            continue
+        best = vote(time[rows], key[rows], known, limit)
+        if best is None:
+            continue
+        rows, offset = _follow(time, key, known, left, rows, best.offset)
+        if len(rows) < (SHORTEST if found else FEW - 1):
+            continue
+        left[rows] = False
+        found.append((rows, offset))
+        ambiguous |= best.ambiguous
+        share = max(share, len(rows) / (rows[-1] - rows[0] + 1))
+    if not found:
         return None
-    t, o, n = np.array([(v.time, v.offset, v.votes) for v in votes]).T
-    runs = _runs(t, o, 1.0, BEND)
-    run = max(runs, key=lambda r: n[r].sum())
-    jumps = _jumps(o, runs)
-    first = votes[run.start - 1].last if run.start else -np.inf
-    last = votes[run.stop].first if run.stop < len(votes) else np.inf
-    clock = _line(votes[run], 0.0)
-    # wide first: the votes know the offset only to the width of a bin
-    wide = 0.6 + DRIFT * min(WINDOW, float(np.ptp(time))) / 8
-    clock = _refine(clock, time, key, known, wide)
-    runs, t = _runs(clock.time, clock.offset, 0.4, BEND), clock.time
-    if len(runs) > 1:
-        run = max(runs, key=lambda r: r.stop - r.start)
-        jumps += _jumps(clock.offset, runs)
-        first = max(first, float(clock.time[run.start]) - NODE) if run.start else first
-        last = min(last, float(clock.time[run.stop - 1]) + NODE) if run.stop < len(t) else last
-        clock = clock._replace(time=clock.time[run], offset=clock.offset[run])
-        clock = clock._replace(drift=_slope(clock))
-    for tolerance in (0.6, 0.3):
-        inside = (time >= first) & (time <= last) if jumps else np.ones(len(time), bool)
-        clock = _refine(clock, time[inside], key[inside], known, tolerance)
-    if jumps:
-        start, end = _stretch(clock, time, key, known, first, last)
-        clock = clock._replace(start=start, end=end, jump=max(jumps, key=abs))
-    return clock._replace(ambiguous=any(v.ambiguous for v in votes))
+    return CoarseClock(tuple(_complete(_in_order(found, time), time)), ambiguous)
 
 
-def _jumps(offset: np.ndarray, runs: list[slice]) -> list[float]:
-    return [float(offset[b.start] - offset[b.start - 1]) for b in runs[1:]]
+def _windows(time: np.ndarray) -> list[np.ndarray]:
+    """Row indices of windows that cover a sorted record."""
+    cut = [0]
+    while cut[-1] < len(time):
+        end = np.searchsorted(time, time[cut[-1]] + SPAN, "right")
+        # sparse records: fewer than enough to vote in the longest span
+        cut.append(int(min(max(end, cut[-1] + 3 * FEW), cut[-1] + WINDOW, len(time))))
+    if len(cut) > 2 and cut[-1] - cut[-2] < 2 * FEW:
+        del cut[-2]
+    return [np.arange(a, b) for a, b in zip(cut[:-1], cut[1:], strict=True)]
 
 
-def _slope(clock: CoarseClock) -> float:
-    if len(clock.time) < 2:
-        return clock.drift
-    return float(np.median(np.diff(clock.offset) / np.maximum(np.diff(clock.time), 1.0)))
+def _nearest(key: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """How far each emission time (N,) is from the nearest known one, s."""
+    right = np.clip(np.searchsorted(known, key), 1, len(known) - 1)
+    after, before = key - known[right], key - known[right - 1]
+    return np.where(np.abs(after) < np.abs(before), after, before)
 
 
-def _stretch(
-    clock: CoarseClock,
+def _line(
+    time: np.ndarray, key: np.ndarray, known: np.ndarray, offset: float
+) -> tuple[float, float, float]:
+    """Offset at the middle of a window, drift, and middle, by votes on both."""
+    middle = float(np.median(time))
+    reach = 0.3 + DRIFT * float(np.ptp(time))
+    low = np.searchsorted(known, key - offset - reach)
+    high = np.searchsorted(known, key - offset + reach)
+    i, j = pairs(low, high)
+    rest, x = key[i] - known[j] - offset, time[i] - middle
+    steps = max(1, int(np.ceil(DRIFT * np.ptp(time) / 2 / 0.2)))
+    best = (0, 0.0, 0.0)
+    for drift in DRIFT * np.arange(-steps, steps + 1) / steps:
+        value = np.sort(rest - drift * x)
+        count = np.searchsorted(value, value + 0.3, "right") - np.arange(len(value))
+        n = int(count.argmax())
+        if count[n] > best[0]:
+            best = (int(count[n]), float(np.median(value[n : n + count[n]])), float(drift))
+    _, level, drift = best
+    near = np.abs(rest - level - drift * x) < 0.25
+    if near.sum() > 8 and np.ptp(x[near]) > 600:
+        half = np.median(x[near])
+        a, b = near & (x <= half), near & (x > half)
+        if a.any() and b.any():
+            run = np.median(x[b]) - np.median(x[a])
+            drift = float((np.median(rest[b]) - np.median(rest[a])) / run) if run > 0 else drift
+            level = float(np.median(rest[near] - drift * x[near]))
+    return offset + level, drift, middle
+
+
+def _follow(
     time: np.ndarray,
     key: np.ndarray,
     known: np.ndarray,
-    first: float,
-    last: float,
-) -> tuple[float, float]:
-    """First and last time between which most detections match, within `first` and `last`."""
-    inside = (time >= first) & (time <= last)
-    match = (np.abs(_rest(clock, time, key, known)) < 0.3) & inside
-    share = np.convolve(match, np.full(9, 1 / 9), "same")
-    good = time[match & (share >= 0.5)]
-    return (float(good[0]), float(good[-1])) if len(good) else (first, last)
+    left: np.ndarray,
+    window: np.ndarray,
+    offset: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows, and the offset of each, of the stretch that a vote belongs to: followed both ways."""
+    level, drift, middle = _line(time[window], key[window], known, offset)
+    line = level + drift * (time[window] - middle)
+    rest = _nearest(key[window] - line, known)
+    match = np.abs(rest) < MATCH
+    if match.sum() < 4:
+        return window[:0], line[:0]
+    seed, values = window[match], (line + rest)[match]
+    share, found = float(match.mean()), [(seed, values)]
+    start = float(np.median(time[seed]))
+    for way in (1, -1):
+        # nodes of what was followed so far: time, offset
+        nodes = [(start, float(np.median(values - drift * (time[seed] - start))))]
+        slope, misses, at = drift, 0, 0
+        rows = np.flatnonzero(left)
+        rows = rows[rows > seed[-1]] if way > 0 else rows[rows < seed[0]][::-1]
+        while at < len(rows) and misses < 3:
+            near = np.abs(time[rows[at : at + CHUNK]] - time[rows[at]]) <= SPAN
+            chunk = rows[at : at + int(near.sum())]
+            at += len(chunk)
+            line = nodes[-1][1] + slope * (time[chunk] - nodes[-1][0])
+            rest = _nearest(key[chunk] - line, known)
+            away = abs(time[chunk[-1]] - nodes[-1][0])
+            ok = np.abs(rest) < MATCH + min(BEND * away, 0.7)
+            ok &= _before_the_end(ok, share)
+            found.append((chunk[ok], (line + rest)[ok]))
+            if ok.sum() < max(2.0, 0.4 * share * len(chunk)):
+                misses += 1
+                continue
+            misses = 0
+            t = float(np.median(time[chunk[ok]]))
+            nodes.append((t, float(np.median((line + rest)[ok] - slope * (time[chunk[ok]] - t)))))
+            x, y = np.array([p for p in nodes if abs(p[0] - t) < 3 * 3600][-40:] or nodes[-2:]).T
+            if len(x) > 1 and np.ptp(x) > 1200:
+                fitted = np.polyfit(x - t, y, 1)[0]
+                slope = float(np.clip(fitted, -1.2 * DRIFT, 1.2 * DRIFT))
+    all_rows, all_values = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.argsort(all_rows)
+    return all_rows[order], all_values[order]
+
+
+def _before_the_end(ok: np.ndarray, share: float) -> np.ndarray:
+    """Which of a row of detections (N,) lie before matches cease, if they do."""
+    score = np.cumsum(np.where(ok, 1.0, -0.8 * share / max(1.0 - share, 0.3)))
+    if len(score) == 0 or score.max() < 1:
+        return np.zeros(len(ok), bool)
+    return np.arange(len(ok)) <= int(len(ok) - 1 - score[::-1].argmax())
+
+
+def _stretch(time: np.ndarray, rows: np.ndarray, value: np.ndarray) -> Stretch:
+    """Piecewise-linear offset of one stretch: medians in pieces of `NODE` seconds."""
+    t = time[rows]
+    line = np.polyfit(t - t[0], value, 1) if np.ptp(t) > 600 else [0.0, np.median(value)]
+    flat = value - np.polyval(line, t - t[0])
+    bins = ((t - t[0]) / NODE).astype(int)
+    cut = np.r_[0, np.flatnonzero(np.diff(bins)) + 1, len(t)]
+    parts = [(a, b) for a, b in zip(cut[:-1], cut[1:], strict=True) if b - a >= 5]
+    parts = parts or [(0, len(t))]
+    x = np.array([t[a:b].mean() for a, b in parts])
+    y = np.array([np.median(flat[a:b]) for a, b in parts]) + np.polyval(line, x - t[0])
+    slope = np.median(np.diff(y) / np.maximum(np.diff(x), 1.0)) if len(x) > 2 else line[0]
+    return Stretch(x, y, float(slope), rows)
+
+
+def _in_order(found: list[tuple[np.ndarray, np.ndarray]], time: np.ndarray) -> list[Stretch]:
+    """Stretches in common time; those that contradict a longer one are dropped, silences joined."""
+    kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    for rows, value in sorted(found, key=lambda f: -len(f[0])):
+        common = time[rows] - value
+        within = [(common > c[0]) & (common < c[-1]) for *_, c in kept]
+        if not kept or np.any(within, axis=0).mean() < 0.5:
+            kept.append((rows, value, np.sort(common)))
+    kept.sort(key=lambda f: f[2][0])
+    out = [(rows, value, _stretch(time, rows, value)) for rows, value, _ in kept]
+    n = 0
+    while n + 1 < len(out):
+        (rows, value, a), (more, values, b) = out[n], out[n + 1]
+        _, size = CoarseClock((a, b)).jumps[0]
+        silence = float(b.common[0] - a.common[-1])
+        if abs(size) < STEP + 1e-5 * max(silence, 0.0):
+            rows, value = np.r_[rows, more], np.r_[value, values]
+            order = np.argsort(rows)
+            rows, value = rows[order], value[order]
+            out[n : n + 2] = [(rows, value, _stretch(time, rows, value))]
+        else:
+            n += 1
+    return [stretch for *_, stretch in out]
+
+
+def _complete(stretches: list[Stretch], time: np.ndarray) -> list[Stretch]:
+    """Add detections that matched nothing but lie, on their own clock, in one stretch only."""
+    taken, inside = np.zeros(len(time), bool), np.zeros((len(stretches), len(time)), bool)
+    for i, s in enumerate(stretches):
+        taken[s.rows] = True
+        inside[i] = (time >= time[s.rows[0]]) & (time <= time[s.rows[-1]])
+    if len(stretches) == 1:
+        inside[:] = True
+    single = ~taken & (inside.sum(0) == 1)
+    return [
+        s._replace(rows=np.sort(np.r_[s.rows, np.flatnonzero(single & inside[i])]))
+        for i, s in enumerate(stretches)
+    ]
+
+
+def _merge(known: np.ndarray, key: np.ndarray, within: float = 1.0) -> np.ndarray:
+    """Add emission times that are not known yet."""
+    away = np.abs(_nearest(key, known))
+    new = np.sort(key[away > within])
+    if len(new):
+        new = new[np.r_[True, np.diff(new) > within]]
+    return np.sort(np.concatenate([known, new]))

@@ -18,17 +18,48 @@ if TYPE_CHECKING:
 
 __all__ = ["from_netcdf", "to_netcdf", "write"]
 
-FORMAT = "maloc clock synchronisation 1"
+FORMAT = "maloc clock synchronisation 2"
 _RECEIVERS = ("receiver", "x", "y", "depth", "sync_tag", "start", "end")
-_BY_CLOCK = {"values": "knot", "slopes": "knot", "values_sd": "knot", "span": "bound"}
-_BY_PLACE = ("position_sd", "shift")
-_SCALARS = ("reference", "sound_speed", "sound_speed_sd", "sigma", "reflected")
+_ARRAYS = {
+    "knots": ("knot",),
+    "values": ("clock", "knot"),
+    "slopes": ("clock", "knot"),
+    "values_sd": ("clock", "knot"),
+    "noise": ("clock",),
+    "covariance": ("interval", "row", "column"),
+    "speeds": ("knot",),
+    "speeds_sd": ("knot",),
+    "span": ("clock", "bound"),
+    "delay": ("deployment",),
+    "delay_sd": ("deployment",),
+    "position_sd": ("deployment", "axis"),
+    "shift": ("deployment", "axis"),
+    "value_draws": ("draw", "clock", "knot"),
+    "slope_draws": ("draw", "clock", "knot"),
+    "jump_draws": ("draw", "jump"),
+}
+_SCALARS = ("reference", "sigma", "reflected")
 _UNITS = {
     "knots": "s",
     "values": "s",
     "slopes": "s/s",
     "values_sd": "s",
     "span": "s",
+    "noise": "s^2/s^3",
+    "covariance": "s^2",
+    "speeds": "m/s",
+    "speeds_sd": "m/s",
+    "delay": "s",
+    "delay_sd": "s",
+    "value_draws": "s",
+    "slope_draws": "s/s",
+    "jump_draws": "s",
+    "jump_time": "s",
+    "jump_low": "s",
+    "jump_high": "s",
+    "jump_size": "s",
+    "jump_size_sd": "s",
+    "residual_offset": "s",
     "position_sd": "m",
     "shift": "m",
     "residual_residual": "s",
@@ -43,12 +74,9 @@ def to_netcdf(sync: ClockSync, path: str | Path) -> None:
     def plain(a: np.ndarray) -> np.ndarray:
         return a.astype(object) if a.dtype.kind == "U" else a
 
-    data: dict[str, Any] = {"knots": ("knot", sync.knots)}
-    for name, second in _BY_CLOCK.items():
-        data[name] = (("clock", second), getattr(sync, name))
-    data["jumped"] = ("clock", sync.jumped.astype(np.int8))
-    for name in _BY_PLACE:
-        data[name] = (("deployment", "axis"), getattr(sync, name))
+    data: dict[str, Any] = {name: (d, getattr(sync, name)) for name, d in _ARRAYS.items()}
+    for field in dataclasses.fields(sync.jumps):
+        data[f"jump_{field.name}"] = ("jump", plain(getattr(sync.jumps, field.name)))
     for name in _RECEIVERS:
         data[f"deployment_{name}"] = ("deployment", plain(getattr(sync.receivers, name)))
     for field in dataclasses.fields(sync.residuals):
@@ -78,7 +106,7 @@ def from_netcdf(path: str | Path) -> ClockSync:
     """
     import xarray as xr
 
-    from maloc.sync.clocks import ClockSync, SyncResiduals
+    from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
 
     if not Path(path).is_file():
         raise InputError("no such file", file=path)
@@ -96,7 +124,7 @@ def from_netcdf(path: str | Path) -> ClockSync:
     def any_(name: str) -> np.ndarray:
         return text(name) if d[name].dtype.kind in "OSU" else d[name].values
 
-    fields: dict[str, Any] = {name: d[name].values for name in (*_BY_CLOCK, *_BY_PLACE)}
+    fields: dict[str, Any] = {name: d[name].values for name in _ARRAYS}
     fields |= {name: float(d.attrs[name]) for name in _SCALARS if name != "reference"}
     levels, texts, counts = text("note_level"), text("note_text"), d["note_count"].values
     return ClockSync(
@@ -104,7 +132,9 @@ def from_netcdf(path: str | Path) -> ClockSync:
             *(any_(f"deployment_{name}") for name in _RECEIVERS), crs=str(d.attrs["crs"]) or None
         ),
         origin=int(d.attrs["origin"]),
-        knots=d["knots"].values,
+        jumps=ClockJumps(
+            **{f.name: any_(f"jump_{f.name}") for f in dataclasses.fields(ClockJumps)}
+        ),
         residuals=SyncResiduals(
             **{f.name: any_(f"residual_{f.name}") for f in dataclasses.fields(SyncResiduals)}
         ),
@@ -112,7 +142,6 @@ def from_netcdf(path: str | Path) -> ClockSync:
             Note(str(a), str(b), int(c)) for a, b, c in zip(levels, texts, counts, strict=True)
         ),
         reference=str(d.attrs["reference"]),
-        jumped=d["jumped"].values.astype(bool),
         **fields,
     )
 
@@ -144,6 +173,7 @@ def write(sync: ClockSync, folder: str | Path, detections: Detections | None) ->
         ("receivers_fitted.csv", receivers_frame(sync)),
         ("residuals.csv", sync.residuals_frame()),
         ("links.csv", sync.links_frame()),
+        ("jumps.csv", sync.jumps_frame()),
     ):
         iso = cs.datetime().dt.strftime("%Y-%m-%dT%H:%M:%S%.6fZ")
         table.with_columns(iso).write_csv(folder / name, float_precision=6)

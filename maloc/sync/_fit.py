@@ -3,67 +3,71 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from maloc.data import Detections, Note, Receivers
 from maloc.errors import FitError, InputError
 from maloc.sync import _arrivals, _model
-from maloc.sync._coarse import FEW, CoarseClock
+from maloc.sync._coarse import FEW
 from maloc.sync._curve import to_common
-from maloc.sync._prepare import ECHO, SELF, SyncData, alignment_notes, collect, group, most_shared
-from maloc.sync.clocks import NS, ClockSync, SyncResiduals
+from maloc.sync._outcome import outcome
+from maloc.sync._prepare import Curve, Grouped, SyncData, alignment_notes, collect, group
+from maloc.sync._search import fit_with_jumps
+from maloc.sync._speed import Speed, speed_of
+from maloc.sync.clocks import NS, ClockSync
 
-__all__ = ["fit"]
+__all__ = ["fit", "prepare"]
 
-DEFAULT_SPEED, SPEED_SD = 1500.0, 50.0  # prior of the sound speed, m/s
 UNFIT = 0.7  # a receiver with a larger share of arrivals that do not fit is not synchronised
-UNSURE_SPEED = 15.0  # m/s
-LATE, WILD = "late: reflected", "early or wild"
 
 
 def fit(
     detections: Detections,
     receivers: Receivers,
     *,
-    sound_speed: float | None = None,
+    sound_speed: Any = "varying",
     reference: object = None,
     knot_spacing: float = 1800.0,
-    free_positions: float = 1.0,
-    self_detections: bool = False,
+    free_positions: Any = 1.0,
+    seed: int = 0,
 ) -> ClockSync:
     """Synchronise all receivers' clocks from the sync tags beside some of them.
 
-    All sync arrivals are fitted at once: a clock curve per receiver, one sound speed, the
-    receivers' places and every emission time; late (reflected) arrivals get no weight. Clocks may
-    be hours off and drift by up to a minute a day. A clock that jumps is synchronised over its
-    longest stretch without a jump, and the rest is set aside.
+    All sync arrivals are fitted at once: a clock curve per receiver and its jumps, the sound
+    speed, the receivers' places and every emission time; late (reflected) arrivals get no weight.
+    Clocks may be hours off, drift by up to a minute a day, and jump by 20 ms or more.
 
     Parameters
     ----------
     detections : Detections
         Raw, of any tags; those of sync tags are used.
     receivers : Receivers
-        With `sync_tag` (a number, or a full id) where one is co-located.
-    sound_speed : float, optional
-        m/s. Without it, it is estimated with a prior of 1500 +- 30 m/s.
+        With `sync_tag` (a number, or a full id) where one is co-located. A row whose receiver
+        heard nothing may stand for a sync tag alone (a reference tag).
+    sound_speed : float, "varying", "constant", or table
+        m/s. "varying": estimated, and followed through the day as far as the pings show it;
+        "constant": one estimated number; both with a prior of 1500 +- 50 m/s. A table (a data
+        frame, or the path of a CSV file) has columns time and sound_speed, or temperature,
+        salinity and depth (see `maloc.medium.with_sound_speed`).
     reference : str, optional
-        Receiver whose clock becomes the common time. By default the one that shares most sync
-        detections with the others. Sync tags compare clocks with each other and never with true
-        time: choose the receiver whose clock was right when times must be compared with, say, a
-        GPS.
+        Receiver whose clock becomes the common time. By default the one nearest to the middle of
+        all clocks: clocks were set one by one, so that the middle is the best guess of true
+        time. Sync tags compare clocks with each other and never with true time: choose the
+        receiver whose clock was right, or use `ClockSync.anchored`, when times must be compared
+        with, say, a GPS.
     knot_spacing : float
         Largest distance between knots of the clock curves, s.
-    free_positions : float
-        Prior sd of each receiver's x and y about the table, m; 0 = the table is exact. The default
-        of 1 m is less than the error of a common GPS fix (2-5 m), so that the table is kept
-        unless many pings speak against it, yet enough for places some metres off to give way: held
-        places push their errors into clocks and sound speed. What the pings cannot tell (shift and
-        rotation of the whole array) stays as in the table. With free places the scale of the array
-        and the sound speed trade off; `sound_speed_sd` says how far.
-    self_detections : bool
-        Let a receiver's detections of its own sync tag (distance 0) count. They often carry a
-        delay of their own, so by default they do not.
+    free_positions : float, or array (D,)
+        Prior sd of each deployment's x and y about the table, m; 0 = the table is exact. The
+        default of 1 m is less than the error of a common GPS fix (2-5 m), so that the table is
+        kept unless many pings speak against it, yet enough for places some metres off to give way:
+        held places push their errors into clocks and sound speed. What the pings cannot tell
+        (shift and rotation of the whole array) stays as in the table. With free places the scale
+        of the array and the sound speed trade off; `sound_speed_sd` says how far.
+    seed : int
+        For the posterior draws of the clocks.
 
     Returns
     -------
@@ -81,98 +85,129 @@ def fit(
     Baktoft et al. (2017), Scientific Reports 7:14294 (joint estimation of clocks and places from
     sync tags); MacKay (1992), Neural Computation 4:415 (the update of the clock noise).
     """
+    p = prepare(
+        detections, receivers, sound_speed=sound_speed, reference=reference,
+        knot_spacing=knot_spacing, free_positions=free_positions,
+    )  # fmt: skip
+    try:
+        arrivals, fitted, dated = fit_with_jumps(
+            p.arrivals, p.common, p.grouped.jumps, p.state, p.geometry, p.grid,
+            p.grouped.reference, varying=p.speed.varying,
+        )  # fmt: skip
+    except np.linalg.LinAlgError as error:
+        raise FitError(
+            f"the clock model diverged ({error}); are the receivers' places and sync tags right?"
+        ) from error
+    return outcome(p, arrivals, fitted, dated, seed)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Prepared:
+    """Everything that a joint fit needs, and what its outcome is told with.
+
+    Parameters
+    ----------
+    detections : Detections
+    receivers : Receivers
+    origin : int
+        ns since 1970 of second 0.
+    data : SyncData
+    grouped : Grouped
+    used : array (U,) of int
+        Rows of `data` that are in the fit, in the order of `arrivals`.
+    arrivals : Arrivals
+    common : array (U,)
+        Coarse common times, s.
+    state : array (K, R, 2)
+        Coarse clocks at the knots.
+    geometry : Geometry
+    grid : Grid
+    speed : Speed
+    notes : tuple of Note
+    """
+
+    detections: Detections
+    receivers: Receivers
+    origin: int
+    data: SyncData
+    grouped: Grouped
+    used: np.ndarray
+    arrivals: _arrivals.Arrivals
+    common: np.ndarray
+    state: np.ndarray
+    geometry: _arrivals.Geometry
+    grid: _model.Grid
+    speed: Speed
+    notes: tuple[Note, ...]
+
+
+def prepare(
+    detections: Detections,
+    receivers: Receivers,
+    *,
+    sound_speed: Any,
+    reference: object,
+    knot_spacing: float,
+    free_positions: Any,
+) -> Prepared:
+    """Check, pick the sync detections, align them coarsely and lay the joint fit out."""
     if len(detections) == 0:
         raise InputError("no detections to synchronise")
-    for name, value, lowest in (
-        ("sound_speed", sound_speed, 300.0),
-        ("knot_spacing", knot_spacing, 10.0),
-        ("free_positions", free_positions, 0.0),
-    ):
-        if value is not None and not (np.isfinite(value) and value >= lowest):
-            raise InputError(f"{name} must be at least {lowest:g}, got {value}")
-    names = receivers.names
+    if not (np.isfinite(knot_spacing) and knot_spacing >= 10.0):
+        raise InputError(f"knot_spacing must be at least 10, got {knot_spacing}")
+    names, sd = receivers.names, np.asarray(free_positions, float)
+    if not (np.isfinite(sd).all() and (sd >= 0).all()):
+        raise InputError(f"free_positions must be at least 0, got {free_positions}")
+    if sd.ndim and sd.shape != (len(receivers),):
+        raise InputError(
+            f"free_positions has shape {sd.shape}, not one number for each of the "
+            f"{len(receivers)} rows of the receivers' table"
+        )
     if reference is not None and str(reference) not in names:
         raise InputError(
             f"reference receiver '{reference}' is not in the receivers' table",
             mend=f"choose one of {', '.join(names)}",
         )
     origin = int(detections.time.min()) // NS * NS
+    speed = speed_of(sound_speed, origin, int(detections.time.max()))
     data, notes = collect(detections, receivers, origin)
-    ref = most_shared(data, len(names)) if reference is None else names.index(str(reference))
-    speed = DEFAULT_SPEED if sound_speed is None else float(sound_speed)
-
     xyz = _coordinates(receivers)
-    travel = _arrivals.distances(xyz, data.place, data.source) / speed
-    clocks, ping, common, why = group(data, travel, ref, len(names), self_detections)
-    notes += tuple(alignment_notes(data, clocks, names))
-    used = np.flatnonzero(why == "")
-    if len(clocks) < 2 or len(used) == 0:
+    travel = _arrivals.distances(xyz, data.place, data.source) / speed.mean
+    asked = None if reference is None else names.index(str(reference))
+    grouped = group(data, travel, asked, len(names))
+    notes += tuple(alignment_notes(data, grouped.clocks, names))
+    used = np.flatnonzero(grouped.why == "")
+    ref = grouped.reference
+    if len(grouped.clocks) < 2 or len(used) == 0:
         raise FitError(
             f"no clock could be aligned with that of receiver {names[ref]}: no sync ping was "
             "heard by two receivers at an offset within 26 h; check sync_tag in the receivers' "
-            "table, or choose another reference"
+            "table"
         )
-    first, spacing, n_knots = _knots(common[used], knot_spacing)
-    start = _start(clocks, len(names), first, spacing, n_knots)
-    number = np.unique(ping[used], return_inverse=True)[1]
-    arrivals = _arrivals.Arrivals(
-        data.recorded[used], data.clock[used], number, data.place[used], data.source[used]
-    )
-    speed_sd = SPEED_SD if sound_speed is None else 0.0
-    geometry = _arrivals.Geometry(xyz, float(free_positions), speed, speed_sd)
-    try:
-        fitted = _model.solve(arrivals, geometry, start, first, spacing, ref)
-    except np.linalg.LinAlgError as error:
+    if ref not in grouped.clocks:
         raise FitError(
-            f"the clock model diverged ({error}); are the receivers' places and sync tags right?"
-        ) from error
-
-    residual, p_direct = np.full(len(why), np.nan), np.full(len(why), np.nan)
-    residual[used], p_direct[used] = fitted.residual, fitted.p_direct
-    _judge(data, why, ping, used, fitted, residual, first, spacing)
-    doubtful = used[p_direct[used] < 0.5]
-    why[doubtful] = np.where(residual[doubtful] > 0, LATE, WILD)
-    unfit, more = _unfit(data.clock[used], p_direct[used], ref, names)
-    notes += tuple(more)
-    heard_by = np.isin(np.arange(len(names)), data.clock[used]) & ~unfit
-    values = np.where(heard_by, fitted.state[:, :, 0], np.nan).T
-    slopes = np.where(heard_by, fitted.state[:, :, 1] / spacing, np.nan).T
-    order = np.argsort(data.row)
-    place_used = np.isin(np.arange(len(receivers)), np.r_[data.place[used], data.source[used]])
-    shift = np.where(place_used[:, None], fitted.xyz[:, :2] - xyz[:, :2], 0.0)
-    residuals = SyncResiduals(
-        data.row[order],
-        ping[order] + 1,
-        np.array(data.tags)[data.tag[order]],
-        np.array(names)[data.clock[order]],
-        detections.time[data.row[order]],
-        _arrivals.distances(fitted.xyz, data.place, data.source)[order],
-        residual[order],
-        p_direct[order],
-        why[order],
+            f"the clock of the reference receiver {names[ref]} could not be aligned with the "
+            f"others; choose one of {', '.join(names[j] for j in sorted(grouped.clocks))}"
+        )
+    used = used[np.lexsort((data.clock[used], grouped.ping[used]))]
+    common = grouped.common[used]
+    grid = _grid(common, knot_spacing)
+    arrivals = _arrivals.Arrivals(
+        data.recorded[used],
+        data.clock[used],
+        np.unique(grouped.ping[used], return_inverse=True)[1],
+        data.place[used],
+        data.source[used],
+        grouped.segment[used],
     )
-    sync = ClockSync(
-        receivers=dataclasses.replace(
-            receivers, x=receivers.x + shift[:, 0], y=receivers.y + shift[:, 1]
-        ),
-        reference=names[ref],
-        sound_speed=float(fitted.sound_speed),
-        sound_speed_sd=float(fitted.sound_speed_sd),
-        origin=origin,
-        knots=first + spacing * np.arange(n_knots),
-        values=values,
-        slopes=slopes,
-        values_sd=np.where(heard_by, fitted.state_sd[:, :, 0], np.nan).T,
-        span=_spans(common, data.clock, why, len(names)),
-        jumped=np.array([j in clocks and clocks[j].jump != 0 for j in range(len(names))]),
-        sigma=fitted.sigma,
-        reflected=fitted.reflected,
-        position_sd=np.where(place_used[:, None], fitted.xy_sd, 0.0),
-        shift=shift,
-        residuals=residuals,
-        notes=notes,
+    geometry = _arrivals.Geometry(
+        xyz, np.broadcast_to(sd, (len(receivers),)), speed.mean, speed.sd, speed.at(grid.time)
     )
-    return dataclasses.replace(sync, notes=notes + tuple(_remarks(sync, fitted, reference)))
+    state = _start(grouped.curves, len(names), grid)
+    return Prepared(
+        detections, receivers, origin, data, grouped, used, arrivals, common, state, geometry,
+        grid, speed, notes,
+    )  # fmt: skip
 
 
 def _coordinates(receivers: Receivers) -> np.ndarray:
@@ -181,113 +216,50 @@ def _coordinates(receivers: Receivers) -> np.ndarray:
     return np.column_stack([receivers.xy, z])
 
 
-def _knots(common: np.ndarray, most: float) -> tuple[float, float, int]:
+def _grid(common: np.ndarray, most: float) -> _model.Grid:
     first, last = float(common.min()) - 1.0, float(common.max()) + 1.0
     n = max(1, int(np.ceil((last - first) / most)))
-    return first, (last - first) / n, n + 1
+    return _model.Grid(first, (last - first) / n, n + 1)
 
 
-def _start(
-    clocks: dict[int, CoarseClock], n_clocks: int, first: float, spacing: float, n_knots: int
-) -> np.ndarray:
+def _start(curves: dict[int, Curve], n_clocks: int, grid: _model.Grid) -> np.ndarray:
     """State (K, R, 2) at the knots from the coarse offsets; 0 for clocks without one."""
-    knots = first + spacing * np.arange(n_knots)
-    state = np.zeros((n_knots, n_clocks, 2))
-    for j, clock in clocks.items():
-
-        def at(common: np.ndarray, clock: CoarseClock = clock) -> np.ndarray:
-            offset = clock.at(common)
-            for _ in range(3):
-                offset = clock.at(common + offset)
-            return offset
-
-        state[:, j, 0] = at(knots)
-        state[:, j, 1] = at(knots + spacing / 2) - at(knots - spacing / 2)
+    state = np.zeros((grid.n, n_clocks, 2))
+    for j, curve in curves.items():
+        state[:, j, 0] = curve.at(grid.time)
+        half = grid.spacing / 2
+        state[:, j, 1] = curve.at(grid.time + half) - curve.at(grid.time - half)
     return state
 
 
-def _judge(
-    data: SyncData,
-    why: np.ndarray,
-    ping: np.ndarray,
-    used: np.ndarray,
-    fitted: _model.Solution,
-    residual: np.ndarray,
-    first: float,
-    spacing: float,
-) -> None:
-    """Residuals of arrivals outside the fit whose ping is in it (self-detections, echoes)."""
-    rest = np.flatnonzero(np.isin(why, [SELF, ECHO]) & (ping >= 0))
-    common = to_common(fitted.state, first, spacing, data.clock[rest], data.recorded[rest])
-    travel = (
-        _arrivals.distances(fitted.xyz, data.place[rest], data.source[rest]) / fitted.sound_speed
-    )
-    pings = np.unique(ping[used])
-    residual[rest] = common - travel - fitted.emission[np.searchsorted(pings, ping[rest])]
+def residuals_of_the_rest(p: Prepared, fitted: _model.Solution, rest: np.ndarray) -> np.ndarray:
+    """Residuals of arrivals outside the fit whose ping is in it (echoes), s."""
+    lead = fitted.end.jumps.lead(p.data.clock[rest], p.grouped.segment[rest])
+    common = to_common(
+        fitted.end.state, p.grid.first, p.grid.spacing, p.data.clock[rest],
+        p.data.recorded[rest] - lead,
+    )  # fmt: skip
+    way = _arrivals.distances(fitted.xyz, p.data.place[rest], p.data.source[rest])
+    travel = way / np.interp(common, p.grid.time, fitted.speed)
+    pings = np.unique(p.grouped.ping[p.used])
+    return common - travel - fitted.emission[np.searchsorted(pings, p.grouped.ping[rest])]
 
 
-def _spans(common: np.ndarray, clock: np.ndarray, why: np.ndarray, n_clocks: int) -> np.ndarray:
-    span = np.full((n_clocks, 2), np.nan)
-    for j in range(n_clocks):
-        mine = common[(clock == j) & (why == "")]
-        if len(mine):
-            span[j] = mine.min(), mine.max()
-    return span
-
-
-def _unfit(
+def unfit(
     clock: np.ndarray, p_direct: np.ndarray, reference: int, names: tuple[str, ...]
 ) -> tuple[np.ndarray, list[Note]]:
     """Receivers (R,) whose arrivals mostly do not fit, so that their clock is not believed."""
     total = np.bincount(clock, minlength=len(names))
     bad = np.bincount(clock, p_direct < 0.5, minlength=len(names))
     share = bad / np.maximum(total, 1)
-    unfit = (total >= FEW) & (share > UNFIT)
-    unfit[reference] = False
+    out = (total >= FEW) & (share > UNFIT)
+    out[reference] = False
     notes = []
     for j in np.flatnonzero((total >= FEW) & (share > 0.5)):
-        end = "its clock is not used" if unfit[j] else "kept"
+        end = "its clock is not used" if out[j] else "kept"
         text = (
             f"receiver {names[j]}: {bad[j]:.0f} of {total[j]} sync arrivals do not fit (wrong "
-            f"place, jumping or wrongly aligned clock, or seldom a direct path); {end}"
+            f"place, wrongly aligned clock, or seldom a direct path); {end}"
         )
         notes.append(Note("warning", text, int(bad[j])))
-    return unfit, notes
-
-
-def _remarks(sync: ClockSync, fitted: _model.Solution, asked: object) -> list[Note]:
-    r = sync.residuals
-    notes = []
-    reason = "asked for" if asked is not None else "it shares most sync detections with the others"
-    text = f"common time is the clock of receiver {sync.reference} ({reason})"
-    if asked is None:
-        text += "; whether it was right cannot be known from sync tags, reference= chooses another"
-    notes.append(Note("info", text))
-    own = r.why == SELF
-    if own.any():
-        late = r.residual[own & np.isfinite(r.residual)]
-        middle = (
-            f", {1e3 * np.median(late):+.2f} ms from the fit in the median" if len(late) else ""
-        )
-        text = (
-            f"{int(own.sum())} detections by receivers of their own sync tag do not count{middle}"
-        )
-        notes.append(Note("info", text, int(own.sum())))
-    if not fitted.converged:
-        text = f"the clock fit had not settled after {fitted.rounds} rounds"
-        notes.append(Note("warning", text))
-    if sync.sound_speed_sd > UNSURE_SPEED:
-        text = (
-            f"the sync pings hardly tell the sound speed ({sync.sound_speed:.0f} +- "
-            f"{sync.sound_speed_sd:.0f} m/s); sound_speed= gives it"
-        )
-        notes.append(Note("warning", text))
-    far = np.hypot(*sync.shift.T) > 3.0
-    if far.any():
-        moved = [
-            f"{sync.receivers.labels[d]} by {np.hypot(*sync.shift[d]):.1f} m"
-            for d in np.flatnonzero(far)
-        ]
-        text = f"fitted more than 3 m from the table: {', '.join(moved)}"
-        notes.append(Note("warning", text, int(far.sum())))
-    return notes
+    return out, notes

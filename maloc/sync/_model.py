@@ -1,15 +1,15 @@
-"""The joint clock model: all clocks, the sound speed and the receivers' places in one fit.
+"""The joint clock model: clocks, their jumps, the sound speed and the places in one fit.
 
 A sync ping p, emitted at common time e_p by the tag beside deployment g, is recorded by receiver r
 (at deployment j) as
 
-    recorded = t + offset_r(t) + error,    t = e_p + |x_j - x_g| / c.
+    recorded = t + offset_r(t) + error,    t = e_p + |x_j - x_g| s(t) + delay (own tag only).
 
-Offsets are cubic Hermite curves between knots (`_curve`) with an integrated-random-walk prior
-(`_prior`); the weight of an arrival is its probability of the direct path (`_arrivals`, EM).
-Emission times are eliminated ping by ping, so the normal matrix is block-tridiagonal in the knots
-(all clocks of a knot are one block) with a narrow dense border for sound speed and places: the
-cost is linear in the length of the record.
+Offsets are cubic Hermite curves between knots (`_curve`) with an integrated-random-walk prior, to
+which jumps are added; the slowness s is a mean plus, where the sound speed varies, a Gauss-Markov
+deviation (`_prior`). The weight of an arrival is its probability of the direct path (`_arrivals`,
+EM). Emission times are eliminated ping by ping (`_normal`): the cost is linear in the length of
+the record.
 """
 
 from __future__ import annotations
@@ -17,27 +17,93 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
-from maloc.sync import _blocks
 from maloc.sync._arrivals import (
-    BACKGROUND,
+    DELAY_SD,
     Arrivals,
     Geometry,
+    Links,
     distances,
+    links,
     low_quantile,
     p_direct,
     travel_derivative,
 )
 from maloc.sync._curve import hermite, to_common
-from maloc.sync._prior import Q_START, ClockPrior
+from maloc.sync._normal import Step, Unknowns, normal_equations, solve_bordered
+from maloc.sync._prior import Q_START, V_START, ClockPrior, SpeedPrior
 
-__all__ = ["Solution", "solve"]
+__all__ = ["Grid", "Jumps", "Solution", "Start", "solve"]
 
 ANNEAL = (0.05, 0.02, 0.01, 0.005, 0.002)  # error sd of the first rounds, s
 LEAST_SIGMA = 2e-5  # s
 LEAST_WEIGHT = 1e-9  # keeps the emission time of a ping without any direct arrival
 FARTHEST = 3.0  # places move at most so far in one round, m: distances are not linear
+JUMP_SD = 0.5  # prior of a jump about its coarse size, s
+
+
+class Grid(NamedTuple):
+    """Knots: first (s), distance (s), number."""
+
+    first: float
+    spacing: float
+    n: int
+
+    @property
+    def time(self) -> np.ndarray:
+        """Common time of the knots (K,), s."""
+        return self.first + self.spacing * np.arange(self.n)
+
+
+class Jumps(NamedTuple):
+    """Clock, place in the order of that clock's jumps, and size (s), arrays (S,)."""
+
+    clock: np.ndarray
+    order: np.ndarray
+    size: np.ndarray
+
+    def before(self, clock: np.ndarray, segment: np.ndarray) -> np.ndarray:
+        """Which jumps (N, S) lie before these segments of these clocks."""
+        mine = clock[:, None] == self.clock
+        return np.asarray(mine & (self.order < segment[:, None]))
+
+    def lead(self, clock: np.ndarray, segment: np.ndarray) -> np.ndarray:
+        """Sum (N,) of the jumps before these segments, s."""
+        table = np.zeros((1 + int(clock.max(initial=0)), 1 + int(segment.max(initial=0))))
+        c, s = np.indices(table.shape)
+        table = (self.before(c.ravel(), s.ravel()) @ self.size).reshape(table.shape)
+        return table[clock, segment]
+
+
+class Start(NamedTuple):
+    """Where a fit begins: from coarse clocks, or where another fit ended.
+
+    Attributes
+    ----------
+    state : array (K, R, 2)
+        Offset, and slope times spacing, at the knots, good to some .05 s; 0 for the reference.
+    jumps : Jumps
+    sigma, reflected : float, optional
+        Those of a fit that has settled: there is no annealing then.
+    intensity : array (R,), optional
+    xyz : array (D, 3), optional
+    slowness : float
+        Relative deviation of the mean slowness from the given one.
+    varying : array (K,), optional
+    varying_sd : float
+    delay : array (D,), optional
+    """
+
+    state: np.ndarray
+    jumps: Jumps
+    sigma: float | None = None
+    reflected: float = 0.1
+    intensity: np.ndarray | None = None
+    xyz: np.ndarray | None = None
+    slowness: float = 0.0
+    varying: np.ndarray | None = None
+    varying_sd: float = V_START
+    delay: np.ndarray | None = None
 
 
 class Solution(NamedTuple):
@@ -45,151 +111,109 @@ class Solution(NamedTuple):
 
     Attributes
     ----------
-    state, state_sd : array (K, R, 2)
-        Offset, and slope times spacing, at the knots, s; 0 for the reference.
-    xyz, xy_sd : array (D, 3), array (D, 2)
-        Places and their posterior sd (0 where held), m.
-    sound_speed, sound_speed_sd : float
+    end : Start
+        All values, to begin another fit from.
+    state_sd : array (K, R, 2)
+    xyz : array (D, 3)
+    delay : array (D,)
+        With which each deployment hears its own sync tag, s.
+    xy_sd : array (D, 2)
+        Posterior sd of the places, m; 0 where held.
+    speed, speed_sd : array (K,)
+        Sound speed at the knots, m/s.
     sigma, reflected : float
         Error sd of direct arrivals (s), share of late ones.
-    intensity : array (R,)
-        Clock noise, s^2/s^3; 0 for the reference.
+    jump_sd : array (S,)
+    delay_sd : array (D,)
     emission : array (P,)
         Emission times on the common clock, s.
-    residual, p_direct : array (N,)
+    common, residual, p_direct : array (N,)
+    layout : Layout
+    step : Step
+        The last one, with its covariances.
     rounds : int
     converged : bool
     """
 
-    state: np.ndarray
+    end: Start
     state_sd: np.ndarray
     xyz: np.ndarray
+    delay: np.ndarray
     xy_sd: np.ndarray
-    sound_speed: float
-    sound_speed_sd: float
+    speed: np.ndarray
+    speed_sd: np.ndarray
     sigma: float
     reflected: float
-    intensity: np.ndarray
+    jump_sd: np.ndarray
+    delay_sd: np.ndarray
     emission: np.ndarray
+    common: np.ndarray
     residual: np.ndarray
     p_direct: np.ndarray
+    layout: Layout
+    step: Step
     rounds: int
     converged: bool
 
 
-class _Normal(NamedTuple):
-    """Normal equations: blocks of the knots, the border, and both right-hand sides."""
+class Layout(NamedTuple):
+    """Columns: clocks that are free, deployments with delays and free places, parts of the border.
 
-    diag: np.ndarray  # (K, n, n)
-    off: np.ndarray  # (K - 1, n, n)
-    side: np.ndarray  # (K, n, B)
-    corner: np.ndarray  # (B, B)
-    rhs: np.ndarray  # (K, C, 2)
-    rhs_border: np.ndarray  # (B,)
+    The border holds mean slowness, delays, jumps, constants of the clocks (where curves are held)
+    and x, y of free places, in this order.
+    """
 
-
-class _Layout(NamedTuple):
-    """Where the unknowns stand."""
-
-    arrivals: Arrivals
-    geometry: Geometry
-    first: float
-    spacing: float
-    n_knots: int
     free: np.ndarray  # (C,) clocks other than the reference
-    column: np.ndarray  # (R,) first column of a clock in its block, -1 = reference
-    by_ping: sp.csr_matrix  # (P, N) sums over the arrivals of a ping
+    delayed: np.ndarray  # (T,) deployments
+    jumps: Jumps
+    held: bool
+    placed: np.ndarray  # (F,) deployments
 
+    @property
+    def parts(self) -> tuple[slice, slice, slice, slice]:
+        """Delays, jumps, constants and places in the border."""
+        sizes = [1, len(self.delayed), len(self.jumps.size),
+                 len(self.free) if self.held else 0, 2 * len(self.placed)]  # fmt: skip
+        edge = np.cumsum(sizes)
+        a, b, c, d = (slice(int(i), int(j)) for i, j in zip(edge[:-1], edge[1:], strict=True))
+        return a, b, c, d
 
-def _design(u: _Layout, common: np.ndarray, emission: np.ndarray) -> sp.csr_matrix:
-    """Derivative (N, K n) of the recorded time to the knots."""
-    a, n = u.arrivals, 2 * len(u.free)
-    # all arrivals of a ping share its pair of knots, so that blocks couple neighbours only
-    k = np.clip(((emission - u.first) / u.spacing).astype(int), 0, u.n_knots - 2)[a.ping]
-    moving = np.flatnonzero(u.column[a.receiver] >= 0)
-    weights = hermite((common - u.first) / u.spacing - k)[moving]
-    base = (k * n + u.column[a.receiver])[moving]
-    columns = (base[:, None] + np.array([0, 1, n, n + 1])).ravel()
-    entries = (weights.ravel(), (np.repeat(moving, 4), columns))
-    return sp.csr_matrix(entries, shape=(len(common), u.n_knots * n))
+    def precision(self, geometry: Geometry) -> np.ndarray:
+        """Prior precision of the border."""
+        relative = geometry.sound_speed_sd / geometry.sound_speed
+        speed = 1 / relative**2 if relative > 0 else 1.0  # any number: its column is zero
+        return np.concatenate([
+            [speed],
+            np.full(len(self.delayed), 1 / DELAY_SD**2),
+            np.full(len(self.jumps.size), 1 / JUMP_SD**2),
+            np.full(len(self.free) if self.held else 0, 1.0),
+            np.repeat(1 / geometry.sd[self.placed] ** 2, 2),
+        ])  # fmt: skip
 
-
-def _blocks_of(matrix: sp.csr_matrix, n_knots: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Diagonal and upper off-diagonal blocks of a block-tridiagonal sparse matrix."""
-    m = matrix.tocoo()
-    k, i, away, j = m.row // n, m.row % n, m.col // n - m.row // n, m.col % n
-    diag, off = np.zeros((n_knots, n, n)), np.zeros((n_knots - 1, n, n))
-    same, up = away == 0, away == 1
-    diag[k[same], i[same], j[same]] = m.data[same]
-    off[k[up], i[up], j[up]] = m.data[up]
-    return diag, off
-
-
-def _normal_equations(
-    u: _Layout, design: sp.csr_matrix, border: sp.csr_matrix, precision, residual
-) -> _Normal:
-    """Project the emission times out: A' W A - A' W E (E' W E)^-1 E' W A, the border likewise."""
-    n_clocks = len(u.free)
-    total = u.by_ping @ precision
-    mean = sp.diags(1 / np.sqrt(total)) @ u.by_ping @ sp.diags(precision)
-    mean_design, mean_border = (mean @ design).tocsr(), (mean @ border).toarray()
-    weighted = sp.diags(precision)
-    normal = (design.T @ (weighted @ design) - mean_design.T @ mean_design).tocsr()
-    weighted_border = weighted @ border
-    side = (design.T @ weighted_border).toarray() - mean_design.T @ mean_border
-    corner = (border.T @ weighted_border).toarray() - mean_border.T @ mean_border
-    # residuals have mean zero in each ping already: nothing to project
-    rhs = design.T @ (precision * residual)
-    return _Normal(
-        *_blocks_of(normal, u.n_knots, 2 * n_clocks),
-        side.reshape(u.n_knots, 2 * n_clocks, -1),
-        corner,
-        rhs.reshape(u.n_knots, n_clocks, 2),
-        border.T @ (precision * residual),
-    )
-
-
-class _Step(NamedTuple):
-    """One Gauss-Newton step, and covariances at it."""
-
-    state: np.ndarray  # (K, C, 2)
-    border: np.ndarray  # (B,)
-    cov: np.ndarray  # (K, C, 2, 2)
-    cross: np.ndarray  # (K - 1, C, 2, 2) with the next knot
-    border_cov: np.ndarray  # (B, B)
-
-
-def _solve_bordered(e: _Normal) -> _Step:
-    """Solve the normal equations, places damped, and invert what is needed of them."""
-    n_knots, n_clocks = e.rhs.shape[:2]
-    factor = _blocks.factor(e.diag, e.off)
-    rhs = e.rhs.reshape(n_knots, 2 * n_clocks, 1)
-    both = _blocks.solve(factor, np.concatenate([rhs, e.side], axis=2))
-    plain, through = both[..., 0], both[..., 1:]
-    border_cov = np.linalg.inv(e.corner - np.einsum("kng,knh->gh", e.side, through))
-    border = border_cov @ (e.rhs_border - np.einsum("kng,kn->g", e.side, plain))
-    border *= min(1.0, FARTHEST / max(float(np.abs(border[1:]).max(initial=0.0)), 1e-12))
-    state = (plain - through @ border).reshape(n_knots, n_clocks, 2)
-
-    inverse, inverse_off = _blocks.selected_inverse(factor)
-    each, shape = np.arange(n_clocks), (-1, n_clocks, 2, n_clocks, 2)
-    t = through.reshape(n_knots, n_clocks, 2, -1)
-    spread = t @ border_cov
-    cov = inverse.reshape(shape)[:, each, :, each, :].swapaxes(0, 1)
-    cross = inverse_off.reshape(shape)[:, each, :, each, :].swapaxes(0, 1)
-    cov = cov + spread @ t.swapaxes(-1, -2)
-    cross = cross + spread[:-1] @ t[1:].swapaxes(-1, -2)
-    return _Step(state, border, cov, cross, border_cov)
+    def rows(self, at: Links, xyz: np.ndarray, slowness: float, g: Geometry) -> np.ndarray:
+        """Derivative (L, B) of the recorded time to the border."""
+        given = 0.0 if g.sound_speed_sd == 0 else 1 / g.sound_speed
+        parts = [
+            given * distances(xyz, at.place, at.source)[:, None],
+            (at.own[:, None] & (at.place[:, None] == self.delayed)).astype(float),
+            self.jumps.before(at.receiver, at.segment).astype(float),
+        ]
+        if self.held:
+            parts.append((at.receiver[:, None] == self.free).astype(float))
+        travel = travel_derivative(at, xyz, slowness).reshape(len(at.place), -1, 2)
+        parts.append(travel[:, self.placed].reshape(len(at.place), -1))
+        return np.concatenate(parts, axis=1)
 
 
 def solve(
     arrivals: Arrivals,
     geometry: Geometry,
-    start: np.ndarray,
-    first: float,
-    spacing: float,
+    start: Start,
+    grid: Grid,
     reference: int,
     *,
+    varying: bool = False,
+    held: bool = False,
     robust: bool = True,
     sigma: float | None = None,
     intensity: float | None = None,
@@ -202,12 +226,14 @@ def solve(
     arrivals : Arrivals
         Pings of at least two arrivals.
     geometry : Geometry
-    start : array (K, R, 2)
-        Coarse state (see `_curve`), good to some .05 s; 0 for the reference.
-    first, spacing : float
-        First knot and distance between knots, common time, s.
+    start : Start
+    grid : Grid
     reference : int
-        Clock that is the common time.
+        Clock that is the common time, but for its jumps.
+    varying : bool
+        Let the sound speed vary in time.
+    held : bool
+        Hold the shape of the clock curves; only a constant is added to each.
     robust : bool
         False: every arrival is direct, an ordinary least-squares fit.
     sigma, intensity : float, optional
@@ -224,81 +250,153 @@ def solve(
     numpy.linalg.LinAlgError
         If the normal matrix is not positive definite (numbers that are no clocks).
     """
-    a, n_rows = arrivals, len(arrivals.recorded)
-    n_knots, n_clocks = start.shape[:2]
+    a, n_rows, n_clocks = arrivals, len(arrivals.recorded), start.state.shape[1]
     free = np.flatnonzero(np.arange(n_clocks) != reference)
-    column = np.full(n_clocks, -1)
-    column[free] = 2 * np.arange(len(free))
-    by_ping = sp.csr_matrix((np.ones(n_rows), (a.ping, np.arange(n_rows))))
-    u = _Layout(a, geometry, first, spacing, n_knots, free, column, by_ping)
-    prior = ClockPrior(start[0, free], spacing)
-    border_precision = _border_precision(geometry)
-    moved = np.zeros(len(border_precision))
-    state, xyz = start.copy(), geometry.xyz.copy()
+    number = np.full(n_clocks, -1)
+    number[free] = np.arange(len(free))
+    at = links(a)
+    own = np.unique(at.place[at.own])
+    layout = Layout(free, own, start.jumps, held, np.flatnonzero(geometry.sd > 0))
+    delays, jumps, constants, places = layout.parts
+    weak = layout.precision(geometry)
+    prior, speed_prior = ClockPrior(start.state[0, free], grid.spacing, held), None
+    if varying:
+        speed_prior = SpeedPrior(grid.spacing)
+    n_pings = int(a.ping[-1]) + 1
+
+    moved = np.zeros(len(weak))
+    moved[0] = start.slowness
+    xyz = geometry.xyz.copy() if start.xyz is None else start.xyz.copy()
+    moved[places] = (xyz - geometry.xyz)[layout.placed, :2].ravel()
+    if start.delay is not None:
+        moved[delays] = start.delay[own]
+    v = np.zeros(grid.n) if start.varying is None else start.varying.copy()
+    v_sd = start.varying_sd
+    state = start.state.copy()
     q, known = np.full(len(free), intensity or Q_START), 0.0
-    s, w = sigma or ANNEAL[0], 0.1 if robust else 0.0
-    common, emission, step = None, None, None
-    converged, rounds = False, 0
+    if intensity is None and start.intensity is not None:
+        q = start.intensity[free].copy()
+    warm = start.sigma is not None
+    s = sigma or start.sigma or ANNEAL[0]
+    w = start.reflected if robust else 0.0
+    base = 1 / (geometry.sound_speed * (1.0 if geometry.relative is None else geometry.relative))
+    base = np.broadcast_to(base, (grid.n,))
+    jump = start.jumps
+    order = np.argsort(np.where(number[at.receiver] < 0, n_clocks, number[at.receiver]),
+                       kind="stable")  # fmt: skip
+    common: np.ndarray | None = None
+    emission: np.ndarray | None = None
+    u: Unknowns | None = None
+    step, border = None, np.zeros((0, 0))
+    converged, rounds, anneal = False, 0, 0 if warm else len(ANNEAL)
 
     while True:
-        slowness = (1 + moved[0]) / geometry.sound_speed
-        distance = distances(xyz, a.place, a.source)
-        common = to_common(state, first, spacing, a.receiver, a.recorded, common)
-        y = common - distance * slowness
+        lead = jump._replace(size=jump.size + moved[jumps]).lead(a.receiver, a.segment)
+        recorded = a.recorded - lead
+        if held:
+            constant = np.append(moved[constants], 0.0)[number]
+            recorded = recorded - constant[a.receiver]
+        common = to_common(state, grid.first, grid.spacing, a.receiver, recorded, common)
+        place = np.clip((common - grid.first) / grid.spacing, 0, grid.n - 1)
+        slowness = np.interp(place, np.arange(grid.n), base * (1 + moved[0] + v))
+        distance = distances(xyz, at.place, at.source)
+        late = np.zeros(len(xyz))
+        late[own] = moved[delays]
+        y = common - distance[at.of] * slowness - np.where(at.own, late[at.place], 0.0)[at.of]
         if emission is None:
-            emission = low_quantile(y, a.ping) if robust else by_ping @ y / np.bincount(a.ping)
-        weight = p_direct(y - emission[a.ping], s, w) if robust else np.ones(n_rows)
-        precision = np.maximum(weight, LEAST_WEIGHT) / s**2
-        total = by_ping @ precision
-        emission = (by_ping @ (precision * y)) / total
+            low = (
+                low_quantile(y, a.ping) if robust else np.bincount(a.ping, y) / np.bincount(a.ping)
+            )
+            emission = low
+            knot = ((emission - grid.first) / grid.spacing).astype(int)
+            # all arrivals of a ping share its pair of knots, so that blocks couple neighbours only
+            knot = np.maximum.accumulate(np.clip(knot, 0, grid.n - 2))[a.ping]
+            rank = np.empty(len(order), int)
+            rank[order] = np.arange(len(order))
+            u = Unknowns(knot, a.ping, number[a.receiver], rank[at.of],
+                         np.where(number[at.receiver] < 0, n_clocks, number[at.receiver])[order],
+                         grid.n, len(free), varying)  # fmt: skip
+        for _ in range(1 if rounds else 3):
+            weight = p_direct(y - emission[a.ping], s, w) if robust else np.ones(n_rows)
+            precision = np.maximum(weight, LEAST_WEIGHT) / s**2
+            total = np.bincount(a.ping, precision, n_pings)
+            emission = np.bincount(a.ping, precision * y, n_pings) / total
         residual = y - emission[a.ping]
         if step is not None and (converged or rounds >= most_rounds):
             break
 
-        border = travel_derivative(a, xyz, distance, slowness, geometry)
-        design = _design(u, common, emission)
-        e = _normal_equations(u, design, border, precision, residual)
+        assert u is not None
+        fraction = (common - grid.first) / grid.spacing - u.knot
+        speed = None
+        if varying:
+            reach = (distance[at.of] / geometry.sound_speed)[:, None]
+            speed = reach * np.column_stack([1 - fraction, fraction])
+        border = layout.rows(at, xyz, float(slowness.mean()), geometry)[order]
+        e = normal_equations(u, hermite(fraction), speed, border, precision, residual)
         prior.add(e.diag, e.off, e.rhs, state[:, free], q)
-        e.corner[np.diag_indices(len(moved))] += border_precision
-        step = _solve_bordered(e._replace(rhs_border=e.rhs_border - border_precision * moved))
-        state[:, free] += step.state
-        moved += step.border
-        if geometry.sd > 0:
-            xyz[:, :2] = geometry.xyz[:, :2] + moved[1:].reshape(-1, 2)
+        if speed_prior is not None:
+            speed_prior.add(e.diag, e.off, e.rhs, v, v_sd)
+        e.corner[np.diag_indices(len(moved))] += weak
+        e.rhs_border[:] -= weak * moved
+        step = solve_bordered(e)
+        far = float(np.abs(step.border[places]).max(initial=0.0))
+        change = step.border * min(1.0, FARTHEST / max(far, 1e-12))
+        knots = step.knots + step.through @ (step.border - change)
+        moved += change
+        state[:, free] += knots[:, : 2 * len(free)].reshape(grid.n, -1, 2)
+        if varying:
+            v += knots[:, -1]
+        xyz[layout.placed, :2] = geometry.xyz[layout.placed, :2] + moved[places].reshape(-1, 2)
         rounds += 1
 
-        if intensity is None and rounds > 2:
-            q, known = prior.intensity(state[:, free], step.cov, step.cross, q)
+        if intensity is None and not held and rounds > (0 if warm else 2):
+            q, known = prior.intensity(state[:, free], *_of_clocks(step, len(free)), q)
+        if speed_prior is not None and rounds > (0 if warm else 4):
+            v_sd = speed_prior.sd(v, step.cov[:, -1, -1], step.cross[:, -1, -1], v_sd)
         before = s
-        if robust and rounds < len(ANNEAL):
+        if robust and rounds < anneal:
             s = s if sigma else ANNEAL[rounds]
         else:
             used = float(weight.sum())
             if sigma is None:
-                freedom = used - (total * s**2 > 0.5).sum() - known - len(moved)
+                freedom = used - np.count_nonzero(total * s**2 > 0.5) - known - len(moved)
                 s = np.sqrt((weight * residual**2).sum() / max(freedom, 1.0))
                 s = float(np.clip(s, max(before / 3, LEAST_SIGMA), before * 3))
             if robust:
-                w = float(np.clip(1 - BACKGROUND - used / n_rows, 1e-3, 0.5))
-        settled = abs(s / before - 1) < 2e-3 and np.abs(step.state[..., 0]).max() < 0.02 * s
-        converged = bool(settled and rounds > len(ANNEAL) + 3)
+                w = float(np.clip(1 - 0.003 - used / n_rows, 1e-3, 0.5))
+        changed = np.abs(knots[:, : 2 * len(free) : 2]).max(initial=0.0)
+        settled = abs(s / before - 1) < 2e-3 and changed < 0.02 * s
+        converged = bool(settled and rounds > anneal + (1 if warm else 3))
 
+    assert common is not None and emission is not None
     state_sd, all_q = np.zeros_like(state), np.zeros(n_clocks)
-    state_sd[:, free] = np.sqrt(np.diagonal(step.cov, axis1=2, axis2=3))
+    var = np.diagonal(step.cov, axis1=1, axis2=2)
+    state_sd[:, free] = np.sqrt(var[:, : 2 * len(free)]).reshape(grid.n, -1, 2)
     all_q[free] = q
     border_sd = np.sqrt(step.border_cov.diagonal())
-    xy_sd = border_sd[1:].reshape(-1, 2) if geometry.sd > 0 else np.zeros((len(xyz), 2))
-    speed = geometry.sound_speed / (1 + moved[0])
-    speed_sd = speed * border_sd[0] / (1 + moved[0]) if geometry.sound_speed_sd > 0 else 0.0
+    xy_sd, delay, delay_sd = np.zeros((len(xyz), 2)), np.zeros(len(xyz)), np.zeros(len(xyz))
+    xy_sd[layout.placed] = border_sd[places].reshape(-1, 2)
+    delay[own], delay_sd[own] = moved[delays], border_sd[delays]
+    if held:
+        state[:, free, 0] += moved[constants]
+    speed_at = 1 / (base * (1 + moved[0] + v))
+    spread = np.full(grid.n, step.border_cov[0, 0])
+    if varying:
+        spread = spread + var[:, -1] + 2 * step.cov_border[:, -1, 0]
+    known_speed = geometry.sound_speed_sd == 0 and not varying
+    speed_sd = np.zeros(grid.n) if known_speed else speed_at * np.sqrt(spread) / (1 + moved[0] + v)
+    end = Start(
+        state, jump._replace(size=jump.size + moved[jumps]), s, w, all_q, xyz, float(moved[0]), v,
+        v_sd, delay,
+    )  # fmt: skip
     return Solution(
-        state, state_sd, xyz, xy_sd, speed, speed_sd, s, w, all_q, emission, residual, weight,
-        rounds, converged,
+        end, state_sd, xyz, delay, xy_sd, speed_at, speed_sd, s, w, border_sd[jumps], delay_sd,
+        emission, common, residual, weight, layout, step, rounds, converged,
     )  # fmt: skip
 
 
-def _border_precision(geometry: Geometry) -> np.ndarray:
-    """Prior precision (B,) of relative slowness and of the places."""
-    relative = geometry.sound_speed_sd / geometry.sound_speed
-    speed = 1 / relative**2 if relative > 0 else 1.0  # any number: its column is zero
-    places = np.full(geometry.xyz[:, :2].size if geometry.sd > 0 else 0, 1.0)
-    return np.concatenate([[speed], places / geometry.sd**2 if geometry.sd > 0 else places])
+def _of_clocks(step: Step, n_clocks: int) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances of each clock at a knot (K, C, 2, 2), and with the next (K - 1, C, 2, 2)."""
+    i = 2 * np.arange(n_clocks)[:, None, None] + np.array([[0, 0], [1, 1]])
+    j = 2 * np.arange(n_clocks)[:, None, None] + np.array([[0, 1], [0, 1]])
+    return step.cov[:, i, j], step.cross[:, i, j]

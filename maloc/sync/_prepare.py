@@ -11,14 +11,13 @@ from maloc.errors import InputError
 from maloc.sync._coarse import FEW, CoarseClock, align
 from maloc.sync._pings import associate
 
-__all__ = ["SyncData", "collect", "group", "most_shared", "resolve_sync_tags", "seconds"]
+__all__ = ["Curve", "Grouped", "SyncData", "collect", "group", "resolve_sync_tags", "seconds"]
 
 PING_GAP = 0.5  # emission times of one ping agree within this after coarse alignment, s
 
 USED = ""
-SELF = "self-detection"
 NOT_ALIGNED = "clock not aligned"
-JUMPED = "after or before a jump of the clock"
+JUMPED = "near a jump of the clock, on neither side for sure"
 ECHO = "later arrival of the same ping"
 ALONE = "ping heard by one receiver"
 
@@ -163,39 +162,160 @@ def most_shared(data: SyncData, n_clocks: int) -> int:
     return int(shared.sum(1).argmax())
 
 
-def group(
-    data: SyncData, travel: np.ndarray, reference: int, n_clocks: int, self_detections: bool
-) -> tuple[dict[int, CoarseClock], np.ndarray, np.ndarray, np.ndarray]:
-    """Align coarsely and form pings.
+class Curve(NamedTuple):
+    """Coarse clock in common time: piecewise linear, jumps taken out.
 
-    Returns
-    -------
+    Attributes
+    ----------
+    time, offset : array (M,)
+        s; offset as before the first jump.
+    drift : array (2,)
+        Slope before the first and after the last node, s/s.
+    """
+
+    time: np.ndarray
+    offset: np.ndarray
+    drift: np.ndarray
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Offset (N,) at common times (N,), s."""
+        inside = np.clip(time, self.time[0], self.time[-1])
+        slope = np.where(time < inside, self.drift[0], self.drift[1])
+        return np.interp(inside, self.time, self.offset) + slope * (time - inside)
+
+    def against(self, other: Curve) -> Curve:
+        """Return the offset to another clock, in that clock's time."""
+        shift = other.at(self.time)
+        return Curve(self.time + shift, self.offset - shift, self.drift - other.drift)
+
+
+class Grouped(NamedTuple):
+    """Coarse clocks and the pings that they show.
+
+    Attributes
+    ----------
     clocks : dict of int to CoarseClock
-    ping : array (N,) of int
-        Numbered from 0 in time order over pings with an arrival in the fit; -1 = in none.
+    curves : dict of int to Curve
+        On the reference's clock.
+    reference : int
+    reason : str
+        Why it is the reference.
+    jumps : list of (clock, size)
+        Jumps that votes found, s, those of a clock in time order.
+    segment, ping : int arrays (N,)
+        Jumps of its clock before each detection; ping numbered from 0 in time order over pings
+        with an arrival in the fit, -1 = in none.
     common : array (N,)
         Coarse common time of each arrival; NaN = clock not aligned.
     why : array (N,) of str
         Why an arrival is left out of the fit, "" = it is in.
     """
-    emission = data.recorded - travel
+
+    clocks: dict[int, CoarseClock]
+    curves: dict[int, Curve]
+    reference: int
+    reason: str
+    jumps: list[tuple[int, float]]
+    segment: np.ndarray
+    ping: np.ndarray
+    common: np.ndarray
+    why: np.ndarray
+
+
+def _align(data: SyncData, emission: np.ndarray, n_clocks: int) -> dict[int, CoarseClock]:
+    """Coarse clocks on the clock of a receiver that does not jump as far as votes can see."""
+    tried: set[int] = set()
+    reference = most_shared(data, n_clocks)
     clocks = align(emission, data.tag, data.clock, n_clocks, reference)
+    while reference not in tried and _jumps_itself(clocks, reference):
+        tried.add(reference)
+        often = np.bincount(data.clock, minlength=n_clocks)
+        few = [
+            (len(c.jumps) - len(clocks[reference].jumps), -often[j], j)
+            for j, c in clocks.items()
+            if j not in tried
+        ]
+        if not few:
+            break
+        reference = min(few)[2]
+        clocks = align(emission, data.tag, data.clock, n_clocks, reference)
+    return clocks
+
+
+def _jumps_itself(clocks: dict[int, CoarseClock], reference: int) -> bool:
+    """Whether most other clocks seem to jump at one moment by the same."""
+    others = [c.jumps for j, c in clocks.items() if j != reference]
+    for jumps in others:
+        for at, size in jumps:
+            same = [
+                any(abs(s - size) < 0.3 and abs(t - at) < 3 * 3600 for t, s in other)
+                for other in others
+            ]
+            if len(others) > 2 and sum(same) > len(others) / 2:
+                return True
+    return False
+
+
+def _curve(clock: CoarseClock) -> Curve:
+    """One clock in common time, its jumps taken out."""
+    lead = np.concatenate([[0.0], np.cumsum([size for _, size in clock.jumps])])
+    parts = zip(clock.stretches, lead, strict=True)
+    nodes = [(s.common, s.offset - before) for s, before in parts]
+    time, offset = (np.concatenate(p) for p in zip(*nodes, strict=True))
+    order = np.argsort(time, kind="stable")
+    ends = np.array([clock.stretches[0].drift, clock.stretches[-1].drift])
+    return Curve(time[order], offset[order], ends / (1 - ends))
+
+
+def _middle_clock(data: SyncData, clocks: dict[int, CoarseClock], curves: dict[int, Curve]) -> int:
+    """The clock nearest to the middle of all, of those that heard much and did not jump."""
+    often = np.bincount(data.clock)
+    at = np.array([np.median([np.median(c.time) for c in curves.values()])])
+    value = {j: float(c.at(at)[0]) for j, c in curves.items()}
+    middle = np.median(list(value.values()))
+    enough = 0.5 * np.median([often[j] for j in curves])
+    good = [j for j in curves if often[j] >= enough and not clocks[j].jumps] or list(curves)
+    return min(good, key=lambda j: (abs(value[j] - middle), j))
+
+
+def group(data: SyncData, travel: np.ndarray, reference: int | None, n_clocks: int) -> Grouped:
+    """Align coarsely and form pings.
+
+    Parameters
+    ----------
+    data : SyncData
+    travel : array (N,)
+        Travel time, s.
+    reference : int, optional
+        Clock that is to be the common time; the one nearest to the middle of all if not given.
+    n_clocks : int
+    """
+    emission = data.recorded - travel
+    clocks = _align(data, emission, n_clocks)
+    segment = np.zeros(len(emission), int)
     common = np.full(len(emission), np.nan)
     why = np.full(len(emission), NOT_ALIGNED, dtype=object)
+    jumps: list[tuple[int, float]] = []
+    curves = {j: _curve(clock) for j, clock in clocks.items()}
     for j, clock in clocks.items():
-        mine = np.flatnonzero(data.clock == j)
-        own = emission[mine]
-        inside = (own >= clock.start) & (own <= clock.end)
-        why[mine] = np.where(inside, USED, JUMPED)
-        common[mine[inside]] = (data.recorded[mine] - clock.at(own))[inside]
+        why[data.clock == j] = JUMPED
+        jumps += [(j, size) for _, size in clock.jumps]
+        for n, stretch in enumerate(clock.stretches):
+            rows = stretch.rows
+            why[rows], segment[rows] = USED, n
+            common[rows] = data.recorded[rows] - stretch.at(emission[rows])
+    if reference is None:
+        reference = _middle_clock(data, clocks, curves)
+        reason = "of all clocks it was nearest to their middle"
+    else:
+        reason = "asked for"
+    if reference in curves:
+        own = curves[reference]
+        common = common + own.at(np.nan_to_num(common))
+        curves = {j: curve.against(own) for j, curve in curves.items()}
     good = np.flatnonzero(why == USED)
     p, first = associate(data.tag[good], data.clock[good], (common - travel)[good], PING_GAP)
     why[good[~first]] = ECHO
-    own = (why == USED) & (data.source == data.place)
-    if not self_detections:
-        # a receiver that hears no other sync tag has only these
-        others = np.bincount(data.clock[(why == USED) & ~own], minlength=n_clocks)
-        why[own & (others >= FEW)[data.clock]] = SELF
     in_fit = why[good] == USED
     n_pings = int(p.max(initial=-1)) + 1
     alone = np.bincount(p[in_fit], minlength=n_pings) < 2
@@ -208,7 +328,7 @@ def group(
     number = np.full(n_pings, -1)
     number[real[np.argsort(time_of[real], kind="stable")]] = np.arange(len(real))
     ping[good] = number[p]
-    return clocks, ping, common, why
+    return Grouped(clocks, curves, reference, reason, jumps, segment, ping, common, why)
 
 
 def alignment_notes(
@@ -227,13 +347,6 @@ def alignment_notes(
         text = f"receiver {name} not synchronised: {n} sync detections, {reason}"
         notes.append(Note("warning", text, int(n)))
     for j, clock in sorted(clocks.items()):
-        if clock.jump:
-            text = (
-                f"the clock of receiver {names[j]} jumps (by {clock.jump:+.1f} s at most): only "
-                "the longest stretch without a jump is synchronised (a clock that jumped back "
-                "shows some times twice; those are taken as of that stretch)"
-            )
-            notes.append(Note("warning", text))
         if clock.ambiguous:
             text = (
                 f"receiver {names[j]}: several clock offsets fit as well (regular sync intervals); "

@@ -31,7 +31,7 @@ def test_offsets_of_a_day_and_drifts_of_a_minute_a_day(offset, drift):
     t = np.linspace(600, 6 * 3600 - 600, 20)
     error = clocks[1].at(t + offset + drift * t) - (offset + drift * t)
     assert np.abs(error).max() < 0.05
-    assert clocks[1].jump == 0.0
+    assert clocks[1].jumps == []
     assert not clocks[1].ambiguous
 
 
@@ -48,15 +48,30 @@ def test_perfectly_regular_tags_are_called_ambiguous():
 
 
 @pytest.mark.parametrize("jump", [0.8, 30.0, -3600.0])
-def test_jump_is_found_and_one_side_of_it_kept(jump):
-    clocks = align(*record(3, 5.0, 1e-5, hours=24.0, jump=jump), 2, 0)
-    clock = clocks[1]
-    at = 24 * 2400.0  # the longer stretch is before the jump
-    assert clock.jump == pytest.approx(jump, abs=0.3)
-    assert clock.start < 3600
-    assert at - 5400 < clock.end <= at + 5.0 + 1.0
-    t = np.linspace(600, clock.end - 600, 20)
-    assert np.abs(clock.at(t) - (5.0 + 1e-5 * t)).max() < 0.05
+def test_both_sides_of_a_jump_are_aligned(jump):
+    own, tag, receiver = record(3, 5.0, 1e-5, hours=24.0, jump=jump)
+    clocks = align(own, tag, receiver, 2, 0)
+    clock, at = clocks[1], 24 * 2400.0
+    [(time, size)] = clock.jumps
+    assert size == pytest.approx(jump, abs=0.05)
+    assert abs(time - at) < 1800
+    for stretch, lead in zip(clock.stretches, (0.0, jump), strict=True):
+        offset = stretch.at(own[stretch.rows])
+        t = own[stretch.rows] - offset
+        assert np.abs(offset - (5.0 + lead + 1e-5 * t)).max() < 0.05
+        right = (t > at - 60) if lead else (t < at + 60)
+        assert right.mean() > 0.99  # the rest matched by chance
+    rows = np.concatenate([s.rows for s in clock.stretches])
+    assert len(np.unique(rows)) == len(rows)
+    assert (receiver[rows] == 1).all()
+
+
+def test_a_silence_is_no_jump():
+    own, tag, receiver = record(6, 5.0, 3e-5, hours=24.0)
+    keep = (receiver == 0) | (own < 30_000) | (own > 60_000)
+    clock = align(own[keep], tag[keep], receiver[keep], 2, 0)[1]
+    assert clock.jumps == []
+    assert len(clock.stretches[0].rows) == (receiver[keep] == 1).sum()
 
 
 def test_unrelated_records_are_not_aligned():
