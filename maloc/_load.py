@@ -221,6 +221,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         tags = tags_to_fit(options, detections, receivers)
         for tag in tags:
             check_whole_seconds(detections.select(tag), options.detections)
+        false = too_soon(options, detections, tags)
         numbered = replace(detections, extra={**detections.extra, ROW: np.arange(len(detections))})
     with log.stage("sync"):
         sync = _sync(options, detections, receivers, log)
@@ -229,6 +230,9 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         if options.sync == "beacons":
             common = _roughly(numbered, receivers, options)
         log.report(common.report)
+        common = common.select(mask=~np.isin(common.extra[ROW], list(false)))
+        if false:
+            log.notice(f"{len(false)} detections set aside: too soon after another at a receiver")
     speed = options.speed()
     if np.isnan(speed):
         speed = None if sync is None else sync.sound_speed
@@ -246,7 +250,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                 if tag not in common.tags:
                     raise InputError(f"tag {tag}: no detection is left on the common clock")
                 toa = grouped(tag, schedule=options.schedule())
-                toa = _with_rows(toa, common, detections, receivers)
+                toa = _with_rows(toa, common, detections, receivers, false)
                 if sure is not None:
                     toa = toa.replace(sound_speed_sd=sure)
                 check_usable(toa)
@@ -263,8 +267,34 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
     return Source(toas, receivers, detections, sync, skipped, beacons)
 
 
+def too_soon(options: TrackOptions, detections: Detections, tags: Sequence[str]) -> dict[int, str]:
+    """Rows of detections that follow another at their receiver sooner than the tag pings, and why.
+
+    The shortest interval is that of the command line, or else of the table of tags.
+    """
+    from maloc.data import prepare
+
+    schedule = options.schedule()
+    shortest, longest = schedule.shortest, 2 * schedule.mean - schedule.shortest
+    table = options.reading.tags()
+    limits = {}
+    for tag in tags:
+        known = (shortest, longest) if shortest > 0 else table and table.limits(tag)
+        if known:
+            limits[tag] = known
+    if not limits:
+        return {}
+    found = prepare(detections, limits=limits)
+    rows = np.flatnonzero(found.too_soon)
+    return dict(zip(rows.tolist(), found.why[rows].tolist(), strict=True))
+
+
 def _with_rows(
-    toa: ArrivalTimes, common: Detections, detections: Detections, receivers: Receivers
+    toa: ArrivalTimes,
+    common: Detections,
+    detections: Detections,
+    receivers: Receivers,
+    false: dict[int, str],
 ) -> ArrivalTimes:
     """Number entries by the rows of the detections as read, and list those that sync set aside."""
     from maloc.data import SetAside
@@ -275,10 +305,13 @@ def _with_rows(
     aside = toa.set_aside
     lost = np.setdiff1d(np.flatnonzero(detections.tag == toa.tag), row[common.tag == toa.tag])
     why = [
-        "clock not synchronised"
-        if name in receivers.names
-        else f"receiver {name} is not in the table"
-        for name in detections.receiver[lost]
+        false.get(int(i))
+        or (
+            "clock not synchronised"
+            if detections.receiver[i] in receivers.names
+            else f"receiver {detections.receiver[i]} is not in the table"
+        )
+        for i in lost
     ]
     time = (detections.time[lost] - (toa.origin or 0)) / NS
     merged = (

@@ -15,6 +15,7 @@ __all__ = [
     "Events",
     "Note",
     "Positions",
+    "Prepared",
     "ReadReport",
     "Receivers",
     "Schedule",
@@ -25,6 +26,7 @@ __all__ = [
     "correct_clocks",
     "encounter_history",
     "match_tag",
+    "prepare",
     "read_detections",
     "read_events",
     "read_positions",
@@ -45,6 +47,7 @@ _HOME = {
     "Events": "events",
     "Note": "report",
     "Positions": "positions",
+    "Prepared": "preparation",
     "ReadReport": "report",
     "Receivers": "receivers",
     "Schedule": "arrivals",
@@ -55,6 +58,7 @@ _HOME = {
     "correct_clocks": "events",
     "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
+    "prepare": "preparation",
     "read_detections": "readers",
     "read_events": "readers",
     "read_positions": "readers",
@@ -76,6 +80,7 @@ if TYPE_CHECKING:
     from maloc.data.grouping import toa_matrix
     from maloc.data.joint_history import ArrivalHistory, arrival_history
     from maloc.data.positions import Positions
+    from maloc.data.preparation import Prepared, prepare
     from maloc.data.readers import (
         read_detections,
         read_events,

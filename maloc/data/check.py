@@ -232,7 +232,7 @@ def _plainly(data: Any) -> str:
 
 
 def _screened(d: Detections, r: Receivers | None, limits: dict) -> list[Note]:
-    from maloc.data.prepare import clock_notes, prepare
+    from maloc.data.preparation import clock_notes, prepare
 
     return [*prepare(d, r, limits).notes, *clock_notes(d)]
 

@@ -135,6 +135,11 @@ class Ids(NamedTuple):
         """Return the name of each row (N,), None where missing."""
         return np.array([*self.names, None], dtype=object)[self.code]
 
+    def present(self) -> tuple[str, ...]:
+        """The names that rows have, sorted."""
+        there = np.bincount(self.code, minlength=len(self.names)) > 0
+        return tuple(sorted(n for n, yes in zip(self.names, there, strict=True) if yes))
+
     def join(self, other: Ids, separator: str = "-") -> Ids:
         """Return "a-b" of two columns that have no missing values."""
         pair, code = np.unique(self.code * (len(other.names) + 1) + other.code, return_inverse=True)
@@ -179,7 +184,10 @@ def detections(
     if whole_seconds(time):
         notes.append(table.note("warning", WHOLE_SECONDS, len(time)))
     report = ReadReport(format, (table.file,), len(time), tuple(notes))
-    return Detections(time, receiver.array(), tag.array(), extra, report)
+    out = Detections(time, receiver.array(), tag.array(), extra, report)
+    # known already: looking for them again among a million would take a third of a second each
+    vars(out)["receivers"], vars(out)["tags"] = receiver.present(), tag.present()
+    return out
 
 
 def _duplicates(table: Table, first: np.ndarray) -> list[Note]:

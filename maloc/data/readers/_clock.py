@@ -16,6 +16,7 @@ _STAMP = (
 )
 _SECONDS = r"^([+-]?)(\d{0,11})(?:\.(\d*))?$"
 _UTC = ("UTC", "GMT", "Z", "Etc/UTC")
+_DAYS = np.array([0, 31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31], np.int32)  # of each month
 LATEST_S = 7_258_118_400  # 2200-01-01; text dates outside 1970..2200 are taken for mistakes
 
 
@@ -95,42 +96,45 @@ def fixed(cell: pl.Series) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             continue
         mine = size == length
         text = cell.filter(pl.Series(mine)).str.join("")[0].encode()
-        raw = np.frombuffer(text, np.uint8).reshape(-1, length)
+        raw = np.ascontiguousarray(np.frombuffer(text, np.uint8).reshape(-1, length).T)
         rows = np.flatnonzero(mine)
         seconds[rows], fraction[rows], done[rows] = _digits(raw)
     return seconds, fraction, done
 
 
 def _digits(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Seconds, ns and validity of stamps given as bytes (N, length)."""
-    length = raw.shape[1]
-    ok = (raw[:, 4] == ord("-")) & (raw[:, 7] == ord("-"))
-    ok &= (raw[:, 10] == ord(" ")) | (raw[:, 10] == ord("T"))
-    ok &= (raw[:, 13] == ord(":")) & (raw[:, 16] == ord(":"))
+    """Seconds, ns and validity of stamps given as bytes (length, N)."""
+    length, n = raw.shape
+    ok = (raw[4] == ord("-")) & (raw[7] == ord("-"))
+    ok &= (raw[10] == ord(" ")) | (raw[10] == ord("T"))
+    ok &= (raw[13] == ord(":")) & (raw[16] == ord(":"))
     if length > 19:
-        ok &= raw[:, 19] == ord(".")
+        ok &= raw[19] == ord(".")
     places = [i for i in range(length) if i not in (4, 7, 10, 13, 16, 19)]
     for i in places:
-        ok &= (raw[:, i] - np.uint8(ord("0"))) < 10
+        ok &= (raw[i] - np.uint8(ord("0"))) < 10
 
     def number(a: int, b: int) -> np.ndarray:
-        out = np.zeros(len(raw), np.int64)
+        out = np.zeros(n, np.int32)  # nine digits at most
         for i in range(a, b):
-            out = out * 10 + raw[:, i] - ord("0")
+            out = out * np.int32(10) + (raw[i] - np.uint8(ord("0")))
         return out
 
     year, month, day = number(0, 4), number(5, 7), number(8, 10)
     hour, minute, second = number(11, 13), number(14, 16), number(17, 19)
     ok &= (year >= 1970) & (year < 2200) & (month >= 1) & (month <= 12) & (day >= 1)
     ok &= (hour < 24) & (minute < 60) & (second < 60)
-    months = np.where(ok, (year - 1970) * 12 + month - 1, 0)
-    first, after = (
-        m.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-        for m in (months, months + 1)
-    )
-    ok &= day <= after - first
-    seconds = (((first + day - 1) * 24 + hour) * 60 + minute) * 60 + second
-    fraction = number(20, length) * 10 ** (29 - length) if length > 19 else np.zeros_like(seconds)
+    leap = (year % 4 == 0) & ((year % 100 != 0) | (year % 400 == 0))
+    ok &= day <= _DAYS[np.where(ok, month, 0)] + (leap & (month == 2))
+    # years counted from March, so that the leap day is the last: months before then need no rule
+    early = month <= 2
+    y, m = year - early, month + np.where(early, 9, -3)
+    days = 365 * y + y // 4 - y // 100 + y // 400 + (153 * m + 2) // 5 + day - 719_469
+    clock = (hour * 60 + minute) * 60 + second
+    seconds = days.astype(np.int64) * 86_400 + clock
+    fraction = np.zeros(n, np.int64)
+    if length > 19:
+        fraction = number(20, length).astype(np.int64) * 10 ** (29 - length)
     return np.where(ok, seconds, 0), np.where(ok, fraction, 0), ok
 
 

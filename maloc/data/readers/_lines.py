@@ -1,4 +1,4 @@
-"""Delimited text by columns: polars reads the cells, NumPy counts the fields of every line."""
+"""Delimited text by columns: polars reads the cells, NumPy counts fields where it matters."""
 
 from __future__ import annotations
 
@@ -27,40 +27,34 @@ class Lines(NamedTuple):
         One a column of the header; "" where a row is too short.
     line : array (N,) of int64
         Line of the file, 1 = first.
-    fields : array (N,) of int64
-        How many fields the row has.
-    beyond : list of list of str
-        What stands beyond the header's columns, of the rows in `long`.
-    long : array of int64
-        Rows with more fields than the header.
+    long : dict of int to list of str
+        Rows with more fields than the header, and what stands beyond it.
+    cut : bool
+        Whether the last line has no end and fewer fields than any other.
     """
 
     header: list[str]
     cells: list[pl.Series]
     line: np.ndarray
-    fields: np.ndarray
-    beyond: list[list[str]]
-    long: np.ndarray
+    long: dict[int, list[str]]
+    cut: bool
 
 
 def read_lines(name: str, data: bytes, first: int, delimiter: str) -> Lines:
-    """Read UTF-8 text, newlines alone between its lines; its header is line `first` (0 = first).
+    """Read UTF-8 text whose first line is the header and line `first` (0 = first) of the file.
 
     Raises
     ------
     InputError
         If quotes are broken.
     """
-    ends = _ends(data)
-    start = 0 if not first else int(ends[first - 1]) + 1
-    quoted = b'"' in data[start:]
-    if quoted and not _even(data, ends[first:], start):
-        return _slow(name, data[start:], first, delimiter)
-    fields = _count(data, ends[first:], start, delimiter, quoted)
+    quoted = b'"' in data
+    if quoted and not _even(data):
+        return _slow(name, data, first, delimiter)
     try:
-        return _fast(data[start:], first, delimiter, fields, quoted)
+        return _fast(data, first, delimiter, quoted)
     except pl.exceptions.PolarsError:
-        return _slow(name, data[start:], first, delimiter)
+        return _slow(name, data, first, delimiter)
 
 
 def _ends(data: bytes) -> np.ndarray:
@@ -69,53 +63,86 @@ def _ends(data: bytes) -> np.ndarray:
     return ends if data.endswith(b"\n") else np.append(ends, len(data))
 
 
-def _even(data: bytes, ends: np.ndarray, start: int) -> bool:
+def _even(data: bytes) -> bool:
     """Whether each line has an even number of quotes, so that no field holds a line's end."""
-    quotes = np.flatnonzero(np.frombuffer(data, np.uint8)[start:] == _QUOTE) + start
-    return not (np.searchsorted(quotes, ends) % 2).any()
+    quotes = np.flatnonzero(np.frombuffer(data, np.uint8) == _QUOTE)
+    return not (np.searchsorted(quotes, _ends(data)) % 2).any()
 
 
-def _count(data: bytes, ends: np.ndarray, start: int, delimiter: str, quoted: bool) -> np.ndarray:
+def _count(data: bytes, delimiter: str, quoted: bool) -> np.ndarray:
     """Fields of each line; delimiters inside quotes do not count."""
     raw = np.frombuffer(data, np.uint8)
-    marks = np.flatnonzero(raw[start:] == ord(delimiter)) + start
+    marks = np.flatnonzero(raw == ord(delimiter))
     if quoted:
         quotes = np.flatnonzero(raw == _QUOTE)
         marks = marks[np.searchsorted(quotes, marks) % 2 == 0]
-    return np.diff(np.searchsorted(marks, ends), prepend=0) + 1
+    return np.diff(np.searchsorted(marks, _ends(data)), prepend=0) + 1
 
 
-def _fast(data: bytes, first: int, delimiter: str, fields: np.ndarray, quoted: bool) -> Lines:
-    n = int(fields[0])
-    table = pl.read_csv(
-        io.BytesIO(data),
-        has_header=False,  # the header is read as a row, and says how many columns there are
-        infer_schema=False,
-        separator=delimiter,
-        quote_char='"' if quoted else None,
-        truncate_ragged_lines=True,
-    )
-    if len(table) != len(fields) or table.width != n:
-        raise pl.exceptions.ComputeError("lines are counted otherwise")
-    cells = [c.str.strip_chars().fill_null("") for c in table.iter_columns()]
+def _fast(data: bytes, first: int, delimiter: str, quoted: bool) -> Lines:
+    how = {
+        "has_header": False,  # read as a row, it says how many columns there are
+        "infer_schema": False,
+        "separator": delimiter,
+        "quote_char": '"' if quoted else None,
+    }
+    fields = None
+    try:
+        table = pl.read_csv(io.BytesIO(data), **how)
+    except pl.exceptions.PolarsError:  # rows longer than the header, or something worse
+        table = pl.read_csv(io.BytesIO(data), **how, truncate_ragged_lines=True)
+        fields = _count(data, delimiter, quoted)
+    bare = _no_padding(data, delimiter)
+    cells = [_filled(c if bare else c.str.strip_chars()) for c in table.iter_columns()]
     header = [c[0] for c in cells]
-    full = fields > 1
-    if not full.all():
-        full |= (cells[0] != "").to_numpy()
+    blank = cells[0] == ""
+    if fields is None and (blank.any() or not data.endswith(b"\n") or len(header) == 1):
+        fields = _count(data, delimiter, quoted)
+    if fields is None:
+        line = np.arange(first + 2, first + 1 + len(table))
+        return Lines(header, [c.slice(1) for c in cells], line, {}, False)
+    if len(table) != len(fields) or table.width != fields[0]:
+        raise pl.exceptions.ComputeError("lines are counted otherwise")
+    full = (fields > 1) | ~blank.to_numpy()
     full[0] = False
-    line = np.flatnonzero(full) + first + 1
-    keep = pl.Series(full)
-    long = np.flatnonzero(fields[full] > n)
-    beyond = []
-    if len(long):
+    line, fields = np.flatnonzero(full) + first + 1, fields[full]
+    cells = [c.filter(pl.Series(full)) for c in cells]
+    n, long = len(header), {}
+    if len(rows := np.flatnonzero(fields > n)):
         lines = data.split(b"\n")
-        rows = (lines[i - first - 1].decode() for i in line[long])
-        beyond = [next(csv.reader([row], delimiter=delimiter))[n:] for row in rows]
-    if full[1:].all():
-        cells = [c.slice(1) for c in cells]
-    else:
-        cells = [c.filter(keep) for c in cells]
-    return Lines(header, cells, line, fields[full], beyond, long)
+        for i in map(int, rows):
+            text = lines[line[i] - first - 1].decode()
+            long[i] = next(csv.reader([text], delimiter=delimiter))[n:]
+    return Lines(header, cells, line, long, _cut(data.endswith(b"\n"), fields, n))
+
+
+def _no_padding(data: bytes, delimiter: str) -> bool:
+    """Whether no cell begins or ends with white space."""
+    if not data.isascii():
+        return False
+    raw = np.frombuffer(data, np.uint8)
+    space = np.flatnonzero((raw == ord(" ")) | ((raw < ord(" ")) & (raw != _NEWLINE)))
+    edge = np.zeros(256, bool)
+    edge[[ord(delimiter), _NEWLINE, _QUOTE]] = True
+    edge[9:14] = edge[32] = True
+    first_or_last = len(space) and (space[0] == 0 or space[-1] == len(raw) - 1)
+    return not first_or_last and not (edge[raw[space - 1]] | edge[raw[space + 1]]).any()
+
+
+def _filled(cell: pl.Series) -> pl.Series:
+    """Text with "" for missing."""
+    n = cell.null_count()
+    if n == len(cell):
+        return pl.Series(cell.name, [""]).new_from_index(0, n)
+    return cell.fill_null("") if n else cell
+
+
+def _cut(ended: bool, fields: np.ndarray, n: int) -> bool:
+    if ended or not len(fields):
+        return False
+    if len(fields) == 1:
+        return int(fields[0]) < min(n, 3)
+    return bool(fields[-1] < fields[:-1].min())
 
 
 def _slow(name: str, data: bytes, first: int, delimiter: str) -> Lines:
@@ -131,10 +158,10 @@ def _slow(name: str, data: bytes, first: int, delimiter: str) -> Lines:
     except csv.Error as e:
         raise InputError(f"broken quotes ({e})", file=name, row=first + before + 1) from None
     header, rows = rows[0], rows[1:]
-    fields = np.array([len(r) for r in rows], np.int64)
     n = len(header)
     columns = zip(*((r + [""] * n)[:n] for r in rows), strict=True) if rows else [()] * n
     cells = [pl.Series(list(c), dtype=pl.String) for c in columns]
-    long = np.flatnonzero(fields > n)
-    beyond = [rows[i][n:] for i in long]
-    return Lines(header, cells, np.array(line[1:], np.int64), fields, beyond, long)
+    long = {i: r[n:] for i, r in enumerate(rows) if len(r) > n}
+    fields = np.array([len(r) for r in rows], np.int64)
+    line = np.array(line[1:], np.int64)
+    return Lines(header, cells, line, long, _cut(data.endswith(b"\n"), fields, n))

@@ -178,4 +178,6 @@ def on_asked_clock(
     if len(references) and (on_device or clock == "device"):
         for line in references.describe():
             notes.append(Note("info", f"{line}; --clock linear does it"))
+    if not notes:
+        return detections
     return replace(detections, report=detections.report.add(*notes))

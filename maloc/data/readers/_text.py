@@ -180,32 +180,29 @@ def normal(name: str, data: bytes) -> tuple[bytes, list[Note]]:
 
 def split_text(name: str, data: bytes, notes: list[Note]) -> Table:
     """Return the table in normal text; see `split`."""
-    first, head = _header(name, data)
+    first, start, head = _header(name, data)
     delimiter = max(DELIMITERS, key=lambda d: (head.count(d), -DELIMITERS.index(d)))
     if delimiter != ",":
         word = {";": "semicolon", "\t": "tab", "|": "bar"}[delimiter]
         notes = [*notes, Note("info", f"{word}-delimited", 1, name)]
-    found = read_lines(name, data, first, delimiter)
-    n, fields = len(found.header), found.fields
-    for i, extra in zip(found.long, found.beyond, strict=True):
+    found = read_lines(name, data[start:] if start else data, first, delimiter)
+    n = len(found.header)
+    for i, extra in found.long.items():
         if any(v.strip() for v in extra):
             raise InputError(
-                f"{fields[i]} fields under {n} column names (delimiter '{delimiter}')",
+                f"{n + len(extra)} fields under {n} column names (delimiter '{delimiter}')",
                 file=name,
                 row=int(found.line[i]),
                 mend="quote text that holds the delimiter, and write numbers with a decimal point",
             )
-    ended = data.endswith(b"\n")
-    shorter = len(fields) > 1 and not ended and fields[-1] < fields[:-1].min()
-    cut = bool(shorter) or (len(fields) == 1 and not ended and int(fields[0]) < min(n, 3))
     names = tuple(
         h.strip().strip("\"'").strip() if i else h.strip() for i, h in enumerate(found.header)
     )
-    return Table(name, names, tuple(found.cells), found.line, delimiter, tuple(notes), cut)
+    return Table(name, names, tuple(found.cells), found.line, delimiter, tuple(notes), found.cut)
 
 
-def _header(name: str, data: bytes) -> tuple[int, str]:
-    """Return the header's line (0 = first) and its text.
+def _header(name: str, data: bytes) -> tuple[int, int, str]:
+    """Return the header's line (0 = first), where it begins (bytes), and its text.
 
     It is the first line that is neither blank nor a comment, but in a sheet with a title above
     its table the line that names the columns.
@@ -217,8 +214,8 @@ def _header(name: str, data: bytes) -> tuple[int, str]:
         text = data[position:end].decode()
         if text.strip() and not text.startswith("#"):
             if _SHEET.search(text):
-                return i, text
-            first = first or (i, text)
+                return i, position, text
+            first = first or (i, position, text)
         position, i = end + 1, i + 1
     if first is None:
         raise InputError("empty file", file=name)

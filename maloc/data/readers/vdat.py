@@ -143,10 +143,11 @@ def _records(
         found = read_lines(name, b"\n".join([head, *(lines[i] for i in at)]) + b"\n", 0, ",")
         line = np.asarray(at, np.int64)[found.line - 2] + 1 if at else found.line
         table = Table(name, tuple(found.header), tuple(found.cells), line, ",", tuple(notes))
-        for i, extra in zip(found.long, found.beyond, strict=True):
+        for i, extra in found.long.items():
             if known and any(v.strip() for v in extra):
+                n = len(found.header)
                 raise InputError(
-                    f"{found.fields[i]} fields in a {kind} record of {len(found.header)} columns",
+                    f"{n + len(extra)} fields in a {kind} record of {n} columns",
                     file=name,
                     row=int(line[i]),
                 )

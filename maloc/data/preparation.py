@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from maloc.data import _pings
+from maloc.data._screen import TOO_SOON, screen
 from maloc.data._time import NS, duration, iso
 from maloc.data.detections import Detections
 from maloc.data.grouping import ECHO_S
@@ -22,7 +23,6 @@ __all__ = ["Prepared", "clock_notes", "prepare"]
 
 LONE = 30  # mean burst intervals without another detection: the usual false-detection filter
 UNSET = 946_684_800 * NS  # 2000-01-01; receivers' clocks start before it when they are not set
-LATE_S = 0.5  # a reflected first arrival shortens the interval to the next by no more than this
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -51,6 +51,11 @@ class Prepared:
     notes: tuple[Note, ...] = field(default=())
 
     @property
+    def too_soon(self) -> np.ndarray:
+        """Where (N,) a detection is too near another at its receiver to be a ping."""
+        return np.char.endswith(self.why, TOO_SOON)
+
+    @property
     def kept(self) -> Detections:
         """The detections that nothing speaks against, notes in their report."""
         kept = self.detections.select(mask=self.why == "")
@@ -67,9 +72,9 @@ def prepare(
 
     - A second detection of a tag within .5 s (less for burst intervals below 1 s) at one receiver
       is an echo of the first (they come 20 to 200 ms later).
-    - Two detections at one receiver closer than the shortest burst interval cannot both be right;
-      those are set aside whose removal leaves most, and of equal choices those that fit the
-      interval to their neighbours worse.
+    - Two detections at one receiver closer than the shortest burst interval cannot both be right,
+      unless another receiver heard both (tags ping faster when they are switched on). Set aside
+      is what no other receiver heard, and of that what leaves most (`maloc.data._screen`).
     - Detections outside any deployment of their receiver, or of a receiver not in the table.
 
     Parameters
@@ -93,8 +98,9 @@ def prepare(
     if receivers is not None:
         _deployments(detections, receivers, why, notes)
     limits = limits or {}
+    heard: dict[str, list[tuple[str, np.ndarray]]] = {}  # first detections, by tag
     for tag, receiver, rows in _trains(detections, why):
-        shortest, longest = limits.get(tag, (0.0, 0.0))
+        shortest, _ = limits.get(tag, (0.0, 0.0))
         time = (detections.time[rows] - detections.time[rows[0]]) / NS
         window = min(ECHO_S, shortest / 2) if shortest > 0 else ECHO_S
         head = _pings.echoes(time, np.zeros(len(time), np.int64), window)
@@ -103,11 +109,9 @@ def prepare(
         for i in echo:
             why[rows[i]] = f"echo, {1000 * (time[i] - time[head[i]]):.0f} ms after the first"
         if shortest > 0:
-            left = np.flatnonzero(head < 0)
-            gone = _impossible(time[left], shortest, longest)
-            for i in left[gone]:
-                near = np.min(np.abs(time[np.setdiff1d(left, left[gone])] - time[i]))
-                why[rows[i]] = f"{near:.3f} s from another at {receiver}, too soon for a ping"
+            heard.setdefault(tag, []).append((receiver, rows[head < 0]))
+    for tag, trains in heard.items():
+        notes += screen(detections.time, tag, trains, limits[tag], why)
     if limits:
         _lone(detections, why, limits, lone)
     notes += _counts(why, lone)
@@ -146,49 +150,6 @@ def _trains(detections: Detections, why: np.ndarray) -> Iterator[tuple[str, str,
             yield str(tags[t]), str(names[r]), rows[a:b]
 
 
-def _impossible(time: np.ndarray, shortest: float, longest: float) -> np.ndarray:
-    """Return which of these times (N,), s and sorted, must go so that none are too near."""
-    apart = shortest - min(LATE_S, shortest / 4)
-    near = np.flatnonzero(np.diff(time) < apart)
-    if not len(near):
-        return np.empty(0, np.int64)
-    gone = []
-    for cluster in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
-        members = np.arange(cluster[0], cluster[-1] + 2)
-        worth = 1.0 + 0.01 * _fitting(time, members, shortest, longest)
-        gone += list(np.setdiff1d(members, members[_heaviest(time[members], worth, apart)]))
-    return np.array(gone, np.int64)
-
-
-def _fitting(time: np.ndarray, members: np.ndarray, shortest: float, longest: float) -> np.ndarray:
-    """How many of the nearest detections lie one burst interval before or after each member."""
-    out = np.zeros(len(members))
-    for i, m in enumerate(members):
-        a, b = np.searchsorted(time, [time[m] - longest - LATE_S, time[m] + longest + LATE_S])
-        gap = np.abs(time[a:b] - time[m])
-        out[i] = min(int((gap >= shortest - LATE_S).sum()), 4)
-    return out
-
-
-def _heaviest(time: np.ndarray, worth: np.ndarray, apart: float) -> list[int]:
-    """Indices, each at least `apart` from the next, that are worth most; the earlier of equals."""
-    n = len(time)
-    best, before = np.zeros(n + 1), np.searchsorted(time, time - apart, side="right")
-    taken = np.zeros(n, bool)
-    for i in range(n):
-        with_it = worth[i] + best[before[i]]
-        taken[i] = with_it > best[i]
-        best[i + 1] = max(with_it, best[i])
-    out, i = [], n
-    while i > 0:
-        if taken[i - 1]:
-            out.append(i - 1)
-            i = int(before[i - 1])
-        else:
-            i -= 1
-    return out[::-1]
-
-
 def _lone(
     detections: Detections,
     why: np.ndarray,
@@ -206,7 +167,7 @@ def _lone(
 def _counts(why: np.ndarray, lone: np.ndarray) -> list[Note]:
     notes = []
     echo = np.array([w.startswith("echo, ") for w in why], bool)
-    soon = np.array([w.endswith("too soon for a ping") for w in why], bool)
+    soon = np.array([w.endswith(TOO_SOON) for w in why], bool)
     for mine, level, text in (
         (echo, "info", f"second detections of a ping within {ECHO_S:g} s at one receiver (echoes)"),
         (soon, "info", "detections too soon after another at their receiver: one of them is false"),
