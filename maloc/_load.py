@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from maloc.data.readers._how import Clock
     from maloc.sync import ClockSync
 
-__all__ = ["Reading", "Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
+__all__ = ["Reading", "Source", "TrackOptions", "load", "sync_tags", "tags_to_fit", "too_soon"]
 
 ROW = "row in the detections as read"  # extra column that survives the synchronisation
 ROUGHLY = 1.0  # s; how well clocks agree that were brought together by the animals' own pings

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc._load import ROW, TrackOptions, tags_to_fit
+from maloc._load import ROW, TrackOptions, tags_to_fit, too_soon
 from maloc._log import Log
+from maloc.data._time import NS
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -94,8 +95,10 @@ def _from_detections(options: TrackOptions, receivers: Receivers, log: Log):
         if not len(detections):
             raise InputError("no detections", file=", ".join(map(str, options.detections)))
         tags = tags_to_fit(options, detections, receivers)
+        false = too_soon(options, detections, tags)
     with log.stage("sync"):
         common, receivers = _one_clock(options, detections, receivers)
+        common = common.select(mask=~np.isin(common.extra[ROW], list(false)))
     with log.stage("group"):
         history = encounter_history(common, receivers, tags, schedule=options.schedule())
         row = common.extra[ROW]
@@ -105,7 +108,27 @@ def _from_detections(options: TrackOptions, receivers: Receivers, log: Log):
             detection=np.where(known >= 0, row[known], -1),
             set_aside=replace(aside, detection=row[aside.detection]),
         )
+        if false:
+            log.notice(f"{len(false)} detections set aside: too soon after another at a receiver")
+            history = _with_false(history, detections, false)
     return history, detections
+
+
+def _with_false(
+    history: EncounterHistory, detections: Detections, false: dict[int, str]
+) -> EncounterHistory:
+    """List detections that were left out before grouping among those set aside."""
+    rows, aside = np.array(list(false)), history.set_aside
+    listed = {
+        "receiver": (aside.receiver, detections.receiver[rows]),
+        "time": (aside.time, (detections.time[rows] - (history.origin or 0)) / NS),
+        "detection": (aside.detection, rows),
+        "why": (aside.why, np.array(list(false.values()))),
+    }
+    order = np.argsort(np.concatenate(listed["time"]), kind="stable")
+    return history.replace(
+        set_aside=replace(aside, **{k: np.concatenate(v)[order] for k, v in listed.items()})
+    )
 
 
 def _one_clock(options: TrackOptions, detections: Detections, receivers: Receivers):

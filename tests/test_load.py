@@ -48,7 +48,7 @@ def options(folder, **more):
     )
     return TrackOptions(
         (folder / "d.csv",), receivers=folder / "r.csv", reading=reading, sync="none",
-        sound_speed="1500", **more,
+        **{"sound_speed": "1500"} | more,
     )  # fmt: skip
 
 
@@ -77,3 +77,12 @@ def test_local_times_ask_for_their_zone(study):
 def test_reading_options_are_for_detections():
     with pytest.raises(InputError, match="go with detections"):
         TrackOptions(toa="x.csv", reading=Reading(tz="UTC"))  # pyright: ignore
+
+
+def test_who_heard_what_leaves_the_same_out_and_lists_it(study):
+    from maloc._load_encounters import load_encounters
+
+    history = load_encounters(options(study, model="detections", sound_speed=None), Log(quiet=True))
+    aside = history.history.set_aside
+    assert 120 in aside.detection.tolist()
+    assert aside.why[aside.detection == 120].tolist()[0].endswith("too soon for a ping")

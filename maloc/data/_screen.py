@@ -49,7 +49,8 @@ def screen(
         What came too soon but was heard by several receivers.
     """
     shortest, longest = limits
-    apart = shortest - min(LATE_S, shortest / 4)
+    whole = all((ns[rows] % NS == 0).all() for _, rows in trains)  # seconds were cut or rounded
+    apart = shortest - min(LATE_S + whole, shortest / 4)
     start = min((int(ns[rows[0]]) for _, rows in trains), default=0)
     times = [(ns[rows] - start) / NS for _, rows in trains]
     sent = 0

@@ -65,6 +65,13 @@ def test_what_several_receivers_heard_too_soon_was_sent():
     assert "several receivers heard them" in said.text and said.count == 9
 
 
+def test_whole_seconds_may_seem_sooner_by_one():
+    for gap, gone in ((19, 0), (18, 49)):  # 20 s, cut to whole seconds and reflected
+        sent = np.cumsum(np.tile([gap, 40.0 - gap], 50))
+        found = prepare(detections(*(("A", "x", t) for t in sent)), limits={"x": (20.0, 40.0)})
+        assert int(found.too_soon.sum()) == gone
+
+
 def test_echoes_are_marked_with_what_they_repeat():
     d = detections(
         ("A", "x", 0.0), ("A", "x", 0.043), ("A", "x", 0.3), ("A", "x", 0.6), ("B", "x", 0.05),
