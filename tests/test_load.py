@@ -1,6 +1,7 @@
 """From files to arrival times: what reading is told, and what the burst interval rules out."""
 
 import csv
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def study(tmp_path):
     return tmp_path
 
 
-def options(folder, **more):
+def options(folder, **more: Any):
     reading = Reading(
         None, more.pop("tz", "Etc/GMT-2"), None, more.pop("tags", folder / "tags.csv")
     )

@@ -153,6 +153,9 @@ def prepare(
     """Check, pick the sync detections, align them coarsely and lay the joint fit out."""
     if len(detections) == 0:
         raise InputError("no detections to synchronise")
+    if len(detections.receivers) == 1:
+        only = detections.receivers[0]
+        raise InputError(f"1 receiver ({only}) in the detections: no clock to compare it with")
     if not (np.isfinite(knot_spacing) and knot_spacing >= 10.0):
         raise InputError(f"knot_spacing must be at least 10, got {knot_spacing}")
     names, sd = receivers.names, np.asarray(free_positions, float)
