@@ -192,8 +192,7 @@ class _Study:
             return FileCheck(name, found.title, _of_receivers(data), data.report.notes)
         if isinstance(data, Detections):
             self.detections.append(data)
-            notes = (*data.report.notes, *_odd(data))
-            return FileCheck(name, data.report.format, _of_detections(data), notes)
+            return FileCheck(name, data.report.format, _of_detections(data), data.report.notes)
         if isinstance(data, Events):
             self.events.append(data)
             kinds = f"{_counts(data.kind)}"
@@ -215,7 +214,7 @@ class _Study:
         except InputError as e:
             return [Note("error", str(e), 1)]
         known = {n for d in self.detections for n in d.report.notes}
-        notes = [n for n in together.report.notes if n not in known]
+        notes = [*(n for n in together.report.notes if n not in known), *_odd(together)]
         limits = {} if self.tags is None else {
             t: found for t in together.tags if (found := self.tags.limits(t))
         }  # fmt: skip
@@ -283,7 +282,7 @@ def _of_matrix(file: Any, receivers: Receivers | None) -> FileCheck:
 
 
 def _odd(d: Detections) -> list[Note]:
-    """What a single file of detections shows by itself."""
+    """What detections show by themselves."""
     notes = []
     if len(d.receivers) == 1:
         text = f"1 receiver ({d.receivers[0]}): no synchronisation and no positions from this alone"

@@ -220,6 +220,17 @@ def test_14_nothing_or_not_what_it_should_be(case):
     assert len(cut) == 1 and cut.report.warnings[0].row == 3
 
 
+def test_check_takes_a_zone_and_a_clock(case):
+    spring = case("05") / "spring_local.csv"
+    assert "does not exist in Europe/Copenhagen" in str(check(spring, tz="Europe/Copenhagen"))
+    assert check(spring, tz="Etc/GMT-1").ok
+    raw = sorted(case("12").glob("uncorrected_*"))
+    text = str(check([*raw, case("12") / "receivers.csv"], clock="linear"))
+    assert "24 detections corrected along lines" in text and "no problems" in text
+    assert not check(raw, clock="corrected").ok
+    assert "does not fit format 'otn'" in str(check(case("01") / "vue.csv", format="otn"))
+
+
 def test_check_says_what_each_case_is(case):
     def said(*files):
         return str(check([case(n) / f for n, f in files]))
@@ -241,5 +252,18 @@ def test_check_says_what_each_case_is(case):
     assert "1 receiver (301001)" in said(("14", "one_row.csv"))
     assert "(line 3)" in said(("14", "truncated.csv"))
     assert "TOA matrix" in said(("08", "toa_wide.csv"))
+    assert "counted once" in said(("04", "yaps_double.csv"))
+    assert "column 'timestamp' is local time" in said(("04", "kaltoa.csv"))
+    for name in ("autumn_local.csv", "spring_local.csv"):
+        assert "is local time; say its zone" in said(("05", name))
+    logs = [("12", f"VR2Tx_48010{i}_20210602_1.csv") for i in range(1, 5)]
+    raw = [("12", f"uncorrected_VR2Tx_48010{i}.csv") for i in range(1, 5)]
+    text = said(*logs, ("12", "receivers.csv"))
+    assert "Fathom/VDAT CSV 2.0.0" in text and "no problems" in text
+    assert "corrected times, +1.2 to +2.2 s" in text and "CLOCK_REF (2), TEMP (6)" in text
+    text = said(*raw, ("12", "receivers.csv"))
+    assert text.count("device times, no clock correction was applied") == 4
+    assert "clock of 480103 to be corrected by -3 s" in text and "unsynchronised" in text
+    assert "corrected times in some files" in said(logs[0], *raw[1:])
     everything = check(sorted(case("14").glob("*.*")))
     assert len(everything.files) == 8 and not everything.ok
