@@ -91,8 +91,11 @@ def sync_array(
 ) -> SyncArray:
     """Simulate an array whose receivers each have a sync tag.
 
-    Clocks begin U(-`offset`, `offset`) s wrong, drift by U(-`drift`, `drift`) s a day, swing with
-    the day's warmth by up to .05 s and wander; the sound speed swings with the day and drifts.
+    Clocks begin U(-`offset`, `offset`) s wrong and drift by U(-`drift`, `drift`) s a day. They
+    swing with the day's warmth by .001 to .05 s (log-uniform: a rate of .07 to 3.6 ppm), and their
+    rates walk at random by .017 to .055 ppm in 20 min (log-uniform: `maloc.sync.fit` finds such
+    walks in the clocks of a real array, Vemco VR2W in Florida Bay). The sound speed swings with
+    the day and drifts.
 
     Parameters
     ----------
@@ -135,9 +138,11 @@ def sync_array(
     span = days * DAY
     start = rng.uniform(-offset, offset, n_receivers)
     slope = rng.uniform(-drift, drift, n_receivers) / DAY
-    phase, swing = rng.uniform(0, 2 * np.pi, n_receivers), rng.uniform(0, 0.05, n_receivers)
+    phase = rng.uniform(0, 2 * np.pi, n_receivers)
+    swing = np.exp(rng.uniform(np.log(1e-3), np.log(0.05), n_receivers))
+    walks = np.exp(rng.uniform(np.log(1.7e-8), np.log(5.5e-8), n_receivers))
     grid = np.arange(0.0, span + 7200.0, 1200.0)
-    rate = np.cumsum(rng.normal(0, 2e-8, (len(grid), n_receivers)), axis=0)
+    rate = np.cumsum(walks * rng.standard_normal((len(grid), n_receivers)), axis=0)
     walk = np.cumsum(rate * 1200.0, axis=0)
     n_jumps = int(rng.integers(jumps[0], jumps[1] + 1))
     at_clock = rng.integers(0, n_receivers, n_jumps)

@@ -7,7 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-__all__ = ["Arrivals", "Geometry", "Links", "distances", "links", "low_quantile", "p_direct"]
+__all__ = [
+    "Arrivals", "Geometry", "Links", "distances", "links", "log_density", "low_quantile",
+    "p_direct", "travel_derivative",
+]  # fmt: skip
 
 LATEST = 0.3  # largest lateness of a reflection, s
 BACKGROUND = 0.003  # share of arrivals that are anything

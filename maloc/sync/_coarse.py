@@ -18,6 +18,7 @@ __all__ = ["FEW", "CoarseClock", "Stretch", "align"]
 
 FEW = 6  # fewer detections than this cannot be aligned
 BEND = 3e-5  # largest change of drift that is no jump, s/s
+KNOWN = 5e-6  # how well the drift of a stretch is known, s/s
 NODE = 1800.0  # spacing of the piecewise-linear offset, s
 MATCH = 0.3  # emission times this near are of one ping, s
 WINDOW = 80  # detections that vote together
@@ -164,7 +165,7 @@ def _align_one(
         if len(rows) < FEW - 1 or (found and len(rows) < len(window) * (1 - 0.5 * share)):
             continue
         best = vote(time[rows], key[rows], known, limit)
-        if best is None:
+        if best is None or (found and best.ambiguous):
             continue
         rows, offset = _follow(time, key, known, left, rows, best.offset)
         if len(rows) < (SHORTEST if found else FEW - 1):
@@ -248,7 +249,7 @@ def _follow(
     for way in (1, -1):
         # nodes of what was followed so far: time, offset
         nodes = [(start, float(np.median(values - drift * (time[seed] - start))))]
-        slope, misses, at = drift, 0, 0
+        slope, misses, at, last = drift, 0, 0, time[seed[-1 if way > 0 else 0]]
         rows = np.flatnonzero(left)
         rows = rows[rows > seed[-1]] if way > 0 else rows[rows < seed[0]][::-1]
         while at < len(rows) and misses < 3:
@@ -257,8 +258,10 @@ def _follow(
             at += len(chunk)
             line = nodes[-1][1] + slope * (time[chunk] - nodes[-1][0])
             rest = _nearest(key[chunk] - line, known)
-            away = abs(time[chunk[-1]] - nodes[-1][0])
-            ok = np.abs(rest) < MATCH + min(BEND * away, 0.7)
+            # what a silence hides may bend; what was heard and did not match has jumped
+            silence = abs(time[chunk[0]] - last)
+            away, last = abs(time[chunk[-1]] - nodes[-1][0]), time[chunk[-1]]
+            ok = np.abs(rest) < MATCH + min(BEND * silence + KNOWN * away, 0.7)
             ok &= _before_the_end(ok, share)
             found.append((chunk[ok], (line + rest)[ok]))
             if ok.sum() < max(2.0, 0.4 * share * len(chunk)):

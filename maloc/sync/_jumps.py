@@ -13,7 +13,9 @@ __all__ = ["backfit", "date", "steps"]
 
 RUN = 15  # detections whose low quantile is a level
 QUANTILE = 0.35
+FEWEST = 8  # of fewer too many may be late by chance
 CURVED = 1e-5  # change of level that a silent gap explains, s/s
+STEEPEST = 1e-3  # of a level about a straight line, s/s
 SURE = 6.0  # a step is this many times as large as its error
 DOUBT = 4.6  # log likelihood ratio at which a detection still may lie on either side
 NEAR = 12  # detections on either side of a jump among which its date is sought
@@ -76,8 +78,9 @@ def steps(time: np.ndarray, y: np.ndarray, least: float, most: int = 12) -> list
     found: list[tuple[int, float]] = []
     y = y.copy()
     n = len(y)
-    if n < 10:
+    if n < 2 * FEWEST:
         return found
+    time = np.maximum.accumulate(time)
     gap = np.concatenate([[0.0], np.diff(time), [0.0]])
     t_left, t_right = _mean(time), -_mean(-time[::-1])[::-1]
     while len(found) < most:
@@ -87,12 +90,12 @@ def steps(time: np.ndarray, y: np.ndarray, least: float, most: int = 12) -> list
             rate = np.full((2, n + 1), np.nan)
             rate[0, RUN:] = (left[RUN:] - left[:-RUN]) / (t_left[RUN:] - t_left[:-RUN])
             rate[1, :-RUN] = (right[RUN:] - right[:-RUN]) / (t_right[RUN:] - t_right[:-RUN])
-        rate[0, : RUN + 4], rate[1, max(n - RUN - 3, 0) :] = np.nan, np.nan
-        known = np.isfinite(rate)
+        rate[0, : RUN + FEWEST], rate[1, max(n - RUN - FEWEST + 1, 0) :] = np.nan, np.nan
+        known = np.abs(rate) < STEEPEST
         mean = np.where(known, rate, 0.0).sum(0) / np.maximum(known.sum(0), 1)
         size = size - mean * (t_right - t_left)
         fewest = np.minimum(n_left, n_right)
-        ok = (fewest >= 4) & known.any(0) & np.isfinite(size)
+        ok = (fewest >= FEWEST) & known.any(0) & np.isfinite(size)
         if not ok.any():
             break
         error = 1.4826 * np.median(np.abs(size[ok] - np.median(size[ok])))

@@ -35,7 +35,7 @@ from maloc.sync._prior import Q_START, V_START, ClockPrior, SpeedPrior
 
 __all__ = ["Grid", "Jumps", "Solution", "Start", "solve"]
 
-ANNEAL = (0.05, 0.02, 0.01, 0.005, 0.002)  # error sd of the first rounds, s
+ANNEAL = (0.01, 0.005, 0.002)  # error sd of the first rounds, s
 LEAST_SIGMA = 2e-5  # s
 LEAST_WEIGHT = 1e-9  # keeps the emission time of a ping without any direct arrival
 FARTHEST = 3.0  # places move at most so far in one round, m: distances are not linear

@@ -10,7 +10,7 @@ import numpy as np
 from maloc.data import Note
 from maloc.sync import _arrivals, _blocks
 from maloc.sync._model import Solution
-from maloc.sync._prepare import ECHO
+from maloc.sync._prepare import ECHO, JUMPED
 from maloc.sync._search import Dated
 from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
 
@@ -41,6 +41,10 @@ def outcome(
     residual[rest] = residuals_of_the_rest(p, fitted, rest)
     doubtful = used[direct[used] < 0.5]
     why[doubtful] = np.where(residual[doubtful] > 0, LATE, WILD)
+    for j, low, high in zip(dated.jumps.clock, dated.low, dated.high, strict=True):
+        open_ = (data.clock[used] == j) & (low < fitted.common) & (fitted.common < high)
+        open_ &= direct[used] < 0.5
+        why[used[open_]], offset[used[open_]] = JUMPED, np.nan
     bad, more = unfit(data.clock[used], direct[used], ref, names)
     good = np.isin(np.arange(len(names)), data.clock[used]) & ~bad
     state, spacing = fitted.end.state, p.grid.spacing

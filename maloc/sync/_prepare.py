@@ -245,14 +245,15 @@ def _align(data: SyncData, emission: np.ndarray, n_clocks: int) -> dict[int, Coa
 def _jumps_itself(clocks: dict[int, CoarseClock], reference: int) -> bool:
     """Whether most other clocks seem to jump at one moment by the same."""
     others = [c.jumps for j, c in clocks.items() if j != reference]
-    for jumps in others:
-        for at, size in jumps:
-            same = [
-                any(abs(s - size) < 0.3 and abs(t - at) < 3 * 3600 for t, s in other)
-                for other in others
-            ]
-            if len(others) > 2 and sum(same) > len(others) / 2:
-                return True
+
+    def alike(a: tuple[float, float], b: tuple[float, float]) -> bool:
+        # clocks that drift differently see one jump by amounts that differ
+        return abs(a[1] - b[1]) < 0.3 + 2e-3 * abs(a[1]) and abs(a[0] - b[0]) < 3 * 3600
+
+    for jump in (jump for jumps in others for jump in jumps):
+        same = [any(alike(jump, other) for other in jumps) for jumps in others]
+        if len(others) > 2 and sum(same) > len(others) / 2:
+            return True
     return False
 
 

@@ -7,23 +7,19 @@ from typing import NamedTuple
 import numpy as np
 
 from maloc.sync import _jumps
-from maloc.sync._arrivals import Arrivals, Geometry, distances
+from maloc.sync._arrivals import Arrivals, Geometry, distances, log_density
 from maloc.sync._curve import evaluate
 from maloc.sync._model import Grid, Jumps, Solution, Start, solve
+from maloc.sync._polish import Jump, joined, polish
 
 __all__ = ["Dated", "fit_with_jumps"]
 
 MANY = 120_000  # arrivals of a first fit
-COARSE_LEAST, FINE_LEAST = 0.008, 0.004  # steps looked for before and after a fit, s
+LEAST = 0.004  # smallest jump, s
 SURE = 5.0  # a jump is this many times as large as its standard error
+PENALTY = 12.0  # log likelihood that a jump must bring
 EITHER_SIDE = 5  # direct arrivals that a jump needs: fewer may as well be late
 ROUNDS = 6
-
-
-class _Jump(NamedTuple):
-    clock: int
-    first: int  # first arrival after it, in the time order of the clock's arrivals
-    size: float
 
 
 class Dated(NamedTuple):
@@ -73,7 +69,10 @@ def fit_with_jumps(
     rows = [np.flatnonzero(a.receiver == j) for j in range(n_clocks)]
     rows = [r[np.lexsort((common[r], a.segment[r]))] for r in rows]
     jumps = _known(a, rows, sizes)
-    jumps = _found_before(a, rows, jumps, common, state, geometry, grid)
+    travel = distances(geometry.xyz, a.place, a.source) / geometry.sound_speed
+    curve = evaluate(state, grid.first, grid.spacing, a.receiver, common)
+    polished = polish(a.recorded - travel, a.ping, curve, common, rows, jumps)
+    jumps, state = polished.jumps, _state(polished.nodes, grid, reference)
     a, table = _segments(a, rows, jumps)
     start = Start(state, table)
     every = len(a.recorded) // MANY
@@ -83,18 +82,30 @@ def fit_with_jumps(
         part = part._replace(ping=np.unique(part.ping, return_inverse=True)[1])
         start = solve(part, geometry, start, grid, reference, varying=varying).end
     fitted = solve(a, geometry, start, grid, reference, varying=varying)
-    for last in (*(False,) * (ROUNDS - 1), True):
-        jumps, changed = _revise(a, rows, fitted, jumps, add=not last)
+    add = True
+    for _ in range(ROUNDS):
+        revised, changed = _revise(a, rows, fitted, jumps, add=add)
         if not changed:
             break
-        a, table = _segments(a, rows, jumps)
-        fitted = solve(
-            a, geometry, fitted.end._replace(jumps=table), grid, reference, varying=varying
-        )
-    return a, fitted, _dated(a, rows, fitted, jumps)
+        b, table = _segments(a, rows, revised)
+        begin = fitted.end._replace(jumps=table)
+        again = solve(b, geometry, begin, grid, reference, varying=varying)
+        if _worth(again) > _worth(fitted):
+            a, jumps, fitted = b, revised, again
+        elif add:
+            add = False
+        else:
+            break
+    return a, fitted, _dated(rows, fitted, jumps, _apart(a, fitted))
 
 
-def _known(a: Arrivals, rows: list[np.ndarray], sizes: list[tuple[int, float]]) -> list[_Jump]:
+def _worth(fitted: Solution) -> float:
+    """Log likelihood less what each jump must be worth."""
+    likelihood = log_density(fitted.residual, fitted.sigma, fitted.reflected).sum()
+    return float(likelihood) - PENALTY * len(fitted.end.jumps.size)
+
+
+def _known(a: Arrivals, rows: list[np.ndarray], sizes: list[tuple[int, float]]) -> list[Jump]:
     """Jumps of the coarse clocks that have arrivals on either side."""
     out = []
     for j, mine in enumerate(rows):
@@ -102,22 +113,11 @@ def _known(a: Arrivals, rows: list[np.ndarray], sizes: list[tuple[int, float]]) 
         for n, size in enumerate(own):
             first = int(np.searchsorted(a.segment[mine], n, "right"))
             if 0 < first < len(mine):
-                out.append(_Jump(j, first, size))
-    return _joined(out)
-
-
-def _joined(jumps: list[_Jump]) -> list[_Jump]:
-    """Sorted; jumps between the same two arrivals are one."""
-    out: list[_Jump] = []
-    for jump in sorted(jumps, key=lambda j: (j.clock, j.first)):
-        if out and out[-1][:2] == jump[:2]:
-            out[-1] = jump._replace(size=out[-1].size + jump.size)
-        else:
-            out.append(jump)
+                out.append(Jump(j, first, size))
     return out
 
 
-def _segments(a: Arrivals, rows: list[np.ndarray], jumps: list[_Jump]) -> tuple[Arrivals, Jumps]:
+def _segments(a: Arrivals, rows: list[np.ndarray], jumps: list[Jump]) -> tuple[Arrivals, Jumps]:
     segment = np.zeros(len(a.recorded), int)
     order = np.zeros(len(jumps), int)
     for j, mine in enumerate(rows):
@@ -130,30 +130,23 @@ def _segments(a: Arrivals, rows: list[np.ndarray], jumps: list[_Jump]) -> tuple[
     return a._replace(segment=segment), Jumps(clock, order, size)
 
 
-def _found_before(
-    a: Arrivals,
-    rows: list[np.ndarray],
-    jumps: list[_Jump],
-    common: np.ndarray,
-    state: np.ndarray,
-    geometry: Geometry,
-    grid: Grid,
-) -> list[_Jump]:
-    """Add steps too small for votes, seen against coarse clocks."""
-    travel = distances(geometry.xyz, a.place, a.source) / geometry.sound_speed
-    curve = evaluate(state, grid.first, grid.spacing, a.receiver, common)
-    _, table = _segments(a, rows, jumps)
-    whole = a.recorded - table.lead(a.receiver, a.segment) - travel
-    emission = _jumps.backfit(whole - curve, a.ping, a.receiver)
-    more = []
-    for j, mine in enumerate(rows):
-        if len(mine) < 10:
-            continue
-        t, offset = common[mine], (whole - emission[a.ping])[mine]
-        line = np.polyfit(t - t[0], offset, 1)
-        for first, size in _jumps.steps(t, offset - np.polyval(line, t - t[0]), COARSE_LEAST):
-            more.append(_Jump(j, first, size))
-    return _joined(jumps + more)
+def _state(
+    nodes: list[tuple[np.ndarray, np.ndarray] | None], grid: Grid, reference: int
+) -> np.ndarray:
+    """State (K, R, 2) at the knots against the reference's curve."""
+    state, half = np.zeros((grid.n, len(nodes), 2)), grid.spacing / 2
+
+    def at(node: tuple[np.ndarray, np.ndarray], time: np.ndarray) -> np.ndarray:
+        x, y = node
+        line = np.polyfit(x - x[0], y, 1) if len(x) > 1 else np.array([0.0, y[0]])
+        flat = np.interp(time, x, y - np.polyval(line, x - x[0]))
+        return flat + np.polyval(line, time - x[0])
+
+    for j, node in enumerate(nodes):
+        if node is not None:
+            state[:, j, 0] = at(node, grid.time)
+            state[:, j, 1] = at(node, grid.time + half) - at(node, grid.time - half)
+    return state - state[:, [reference]]
 
 
 def _apart(a: Arrivals, fitted: Solution) -> np.ndarray:
@@ -164,29 +157,29 @@ def _apart(a: Arrivals, fitted: Solution) -> np.ndarray:
 
 
 def _revise(
-    a: Arrivals, rows: list[np.ndarray], fitted: Solution, jumps: list[_Jump], *, add: bool
-) -> tuple[list[_Jump], bool]:
+    a: Arrivals, rows: list[np.ndarray], fitted: Solution, jumps: list[Jump], *, add: bool
+) -> tuple[list[Jump], bool]:
     """Date the jumps anew, drop those in doubt, add what residuals show; whether any changed."""
     apart, out = _apart(a, fitted), []
     for n, jump in enumerate(jumps):
         size, sd = float(fitted.end.jumps.size[n]), float(fitted.jump_sd[n])
-        if abs(size) >= max(SURE * sd, FINE_LEAST):
+        if abs(size) >= max(SURE * sd, LEAST):
             best, *_ = _date(rows, fitted, jumps, n, apart)
-            out.append(_Jump(jump.clock, best, size))
-    out = _long_enough(rows, fitted, _joined(out))
+            out.append(Jump(jump.clock, best, size))
+    out = _long_enough(rows, fitted, joined(out, 0))
     changed = [j[:2] for j in out] != [j[:2] for j in jumps]
     if add:
         for j, mine in enumerate(rows):
-            for first, size in _jumps.steps(fitted.common[mine], apart[mine], FINE_LEAST, most=2):
+            for first, size in _jumps.steps(fitted.common[mine], apart[mine], LEAST, most=2):
                 if all(jump.clock != j or abs(jump.first - first) > 3 for jump in out):
-                    out.append(_Jump(j, first, size))
+                    out.append(Jump(j, first, size))
                     changed = True
-    return _joined(out), changed
+    return joined(out, 0), changed
 
 
-def _long_enough(rows: list[np.ndarray], fitted: Solution, jumps: list[_Jump]) -> list[_Jump]:
+def _long_enough(rows: list[np.ndarray], fitted: Solution, jumps: list[Jump]) -> list[Jump]:
     """Undo stretches of too few direct arrivals: at an end they may as well be late."""
-    out: list[_Jump] = []
+    out: list[Jump] = []
     for j in dict.fromkeys(jump.clock for jump in jumps):
         direct = np.concatenate([[0], np.cumsum(fitted.p_direct[rows[j]] > 0.5)])
         own = [jump for jump in jumps if jump.clock == j]
@@ -203,7 +196,7 @@ def _long_enough(rows: list[np.ndarray], fitted: Solution, jumps: list[_Jump]) -
     return out
 
 
-def _stretch(rows: list[np.ndarray], jumps: list[_Jump], n: int) -> tuple[int, int]:
+def _stretch(rows: list[np.ndarray], jumps: list[Jump], n: int) -> tuple[int, int]:
     """First and last (not included) of the clock's arrivals next to jump `n`, to other jumps."""
     own = [j.first for j in jumps if j.clock == jumps[n].clock]
     at = own.index(jumps[n].first)
@@ -214,7 +207,7 @@ def _stretch(rows: list[np.ndarray], jumps: list[_Jump], n: int) -> tuple[int, i
 def _date(
     rows: list[np.ndarray],
     fitted: Solution,
-    jumps: list[_Jump],
+    jumps: list[Jump],
     n: int,
     apart: np.ndarray,
 ) -> tuple[int, int, int]:
@@ -229,8 +222,8 @@ def _date(
     return best, low, high
 
 
-def _dated(a: Arrivals, rows: list[np.ndarray], fitted: Solution, jumps: list[_Jump]) -> Dated:
-    apart, at = _apart(a, fitted), []
+def _dated(rows: list[np.ndarray], fitted: Solution, jumps: list[Jump], apart) -> Dated:
+    at = []
     for n, jump in enumerate(jumps):
         mine = rows[jump.clock]
         _, low, high = _date(rows, fitted, jumps, n, apart)
