@@ -51,4 +51,5 @@ def export_file(run: Path, to: str, out: Path, *, force: bool = False) -> str:
         raise InputError(f"cannot be written ({problem.strerror})", file=out) from problem
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    return f"{len(finished.table)} rows written to {out.name} ({FORMATS[to].use})"
+    left = f", {finished.left_out} without a position left out" if finished.left_out else ""
+    return f"{len(finished.table)} rows written to {out.name} ({FORMATS[to].use}){left}"

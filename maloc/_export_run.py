@@ -15,41 +15,49 @@ if TYPE_CHECKING:
 
 __all__ = ["CHI95", "Finished", "dated", "degrees", "ellipse_axes", "read_finished", "typed"]
 
+_TABLES = ("predicted", "track", "points")
 CHI95 = 5.991464547107979  # 95 % point of chi squared with two degrees of freedom
 
 
 class Finished(NamedTuple):
-    """A finished run: its table, the frame of x and y, whole tracks drawn (or None)."""
+    """A finished run: its table, the frame of x and y, whole tracks drawn (or None).
+
+    ``left_out`` counts the pings that have no position.
+    """
 
     table: pl.DataFrame
     crs: str | None
     draws: pl.DataFrame | None
+    left_out: int = 0
 
 
 def read_finished(folder: str | Path) -> Finished:
-    """Read the table of a `maloc track` or a `maloc predict`.
+    """Read the table of a `maloc track`, a `maloc predict` or a `maloc points`.
 
     Raises
     ------
     InputError
-        If the folder holds neither.
+        If the folder holds none, or no position.
     """
     import polars as pl
 
     folder = Path(folder)
-    table = next((f for n in ("predicted", "track") if (f := folder / f"{n}.csv").is_file()), None)
+    table = next((f for n in _TABLES if (f := folder / f"{n}.csv").is_file()), None)
     if table is None:
         raise InputError(
-            "holds neither track.csv nor predicted.csv",
+            f"holds none of {', '.join(f'{n}.csv' for n in _TABLES)}",
             file=folder,
-            mend="give a folder that maloc track or maloc predict wrote",
+            mend="give a folder that maloc track, predict or points wrote",
         )
     draws = folder / "draws.parquet"
     read = pl.read_csv(
         table, schema_overrides={"tag": pl.String, "time": pl.String}, infer_schema_length=None
     )
     found = pl.read_parquet(draws) if draws.is_file() else None
-    return Finished(read, _frame(folder), found)
+    located = read.drop_nulls(["t", "x", "y", "sd_x", "sd_y", "cov_xy"])
+    if not len(located):
+        raise InputError("holds no position", file=table)
+    return Finished(located, _frame(folder), found, len(read) - len(located))
 
 
 def _frame(folder: Path) -> str | None:

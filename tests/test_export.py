@@ -222,10 +222,19 @@ def test_the_command_writes_one_file_whole_or_not_at_all(tmp_path):
     assert out.read_text() != before
     with pytest.raises(InputError, match="none of csv"):
         export_file(run, "kml", tmp_path / "x")
-    with pytest.raises(InputError, match="neither"):
+    with pytest.raises(InputError, match="holds none of"):
         export_file(tmp_path / "new", "csv", tmp_path / "x")
     with pytest.raises(InputError, match="no Zarr store"):
         export_file(run, "zarr", tmp_path / "new", force=True)
+    # points that were not located are counted, and left out
+    points = tmp_path / "points"
+    points.mkdir()
+    lost = table().with_columns(x=pl.when(pl.col("t") < 1.7e9 + 2).then(None).otherwise("x"))
+    lost.write_csv(points / "points.csv")
+    assert "2 without a position left out" in export_file(points, "csv", tmp_path / "some.csv")
+    lost.head(2).write_csv(points / "points.csv")
+    with pytest.raises(InputError, match="no position"):
+        export_file(points, "csv", tmp_path / "none.csv")
     # predicted.csv comes first, with the whole tracks beside it
     table().head(2).write_csv(run / "predicted.csv")
     drawn().write_parquet(run / "draws.parquet")

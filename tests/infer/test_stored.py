@@ -9,10 +9,12 @@ import numpyro.distributions as dist
 import polars as pl
 import pytest
 import xarray as xr
+from typer.testing import CliRunner
 
 import maloc.infer
 from maloc._jax import jnp
 from maloc._predict_run import run_predict
+from maloc.cli import app
 from maloc.errors import InputError
 from maloc.infer._export import _movement, write_posterior
 from maloc.infer.predict import path_draws
@@ -143,3 +145,21 @@ def test_intervals_of_a_sampled_fit_are_its_quantiles(sampled_fit, tmp_path):
     drawn = track.sample_tracks(times, 1000).position
     np.testing.assert_allclose(table["y_lo"], np.quantile(drawn[..., 1], 0.025, axis=0))
     assert table["time"].null_count() == 5 and "longitude" not in table.columns
+
+
+def test_the_commands_say_what_they_wrote(run, tmp_path):
+    """From a run to a grid to GPX by the command line; bad input is one line and exit code 2."""
+    cli = CliRunner()
+    grid, gpx = str(tmp_path / "grid"), str(tmp_path / "a.gpx")
+    done = cli.invoke(app, ["predict", str(run), "--every", "30", "--draws", "0", "--out", grid])
+    assert done.exit_code == 0 and "A: " in done.output and "grid" in done.output
+    assert not (tmp_path / "grid" / "draws.parquet").exists()
+    done = cli.invoke(app, ["export", grid, "--to", "gpx", "--out", gpx])
+    assert done.exit_code == 0 and "rows written to a.gpx" in done.output
+    for wrong in (
+        ["export", grid, "--to", "kml", "--out", gpx],
+        ["export", grid, "--to", "imputations", "--out", gpx, "--force"],
+        ["predict", grid, "--every", "30", "--out", str(tmp_path / "b")],
+        ["predict", str(run), "--every", "30", "--before", "-1", "--out", str(tmp_path / "b")],
+    ):
+        assert cli.invoke(app, wrong).exit_code == 2, wrong
