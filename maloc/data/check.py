@@ -167,11 +167,10 @@ class _Study:
     receivers: Receivers | None
     tags: Tags | None = None
     detections: list[Detections] = field(default_factory=list)
-    events: list[Events] = field(default_factory=list)
+    references: list[ClockReferences] = field(default_factory=list)
 
     def look(self, name: str, file: File | InputError) -> FileCheck | None:
         """Check one file; None for a TOA matrix, which waits for the receivers."""
-        from maloc.data.readers import vdat
         from maloc.data.readers._recognise import open_file
 
         try:
@@ -183,8 +182,8 @@ class _Study:
             if found.kind == "toa":
                 return None
             data = found.read(self.how)
-            if vdat.sniff(file.data):
-                self.events.append(vdat.read_events(file))
+            if found.references is not None:
+                self.references.append(found.references())
         except InputError as e:
             return FileCheck(name, "", (), (_as_note(e, name),))
         if isinstance(data, Receivers):
@@ -194,7 +193,7 @@ class _Study:
             self.detections.append(data)
             return FileCheck(name, data.report.format, _of_detections(data), data.report.notes)
         if isinstance(data, Events):
-            self.events.append(data)
+            self.references.append(data.references)
             kinds = f"{_counts(data.kind)}"
             return FileCheck(name, found.title, (_plainly(data), kinds), data.report.notes)
         if isinstance(data, Tags):
@@ -207,7 +206,7 @@ class _Study:
             return []
         from maloc.data.readers._merge import merge, on_asked_clock, under_one_name
 
-        references = ClockReferences.concat([e.references for e in self.events])
+        references = ClockReferences.concat(self.references)
         try:
             together = merge(self.detections)
             together = on_asked_clock(under_one_name(together), references, self.how.clock)

@@ -61,7 +61,6 @@ def read_detections(
     InputError
         If a file cannot be read or recognised, or a value in it is wrong: with file, line, column.
     """
-    from maloc.data.events import ClockReferences
     from maloc.data.readers._how import CLOCKS, How
     from maloc.data.readers._merge import merge, on_asked_clock, under_one_name
     from maloc.data.readers._recognise import read_files
@@ -73,8 +72,7 @@ def read_detections(
     if clock not in (None, *CLOCKS):
         raise InputError(f"clock '{clock}' is not one of {', '.join(CLOCKS)}")
     found = read_files(paths, format, How(tz, clock))
-    references = ClockReferences.concat([e.references for e in found.events])
-    out = on_asked_clock(merge(found.detections), references, clock)
+    out = on_asked_clock(merge(found.detections), found.references, clock)
     return sensor_values(under_one_name(out))
 
 
@@ -108,7 +106,7 @@ def read_events(*paths: str | Path, tz: str | None = None) -> Events:
     parts = []
     for file in (f for path in paths for f in load_all(path)):
         if vdat.sniff(file.data):
-            parts.append(vdat.read_events(file))
+            parts.append(vdat.read_events(vdat.open_log(file)))
             continue
         table = table_of(file)
         if not vue_events.matches(table):

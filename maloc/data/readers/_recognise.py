@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from maloc.data.detections import Detections
-from maloc.data.events import Events
+from maloc.data.events import ClockReferences
 from maloc.data.readers import (
     atlas,
     innovasea,
@@ -69,6 +69,7 @@ class Found(NamedTuple):
     title: str
     table: Table | None
     read: Callable[[How], Any]
+    references: Callable[[], ClockReferences] | None = None  # of clocks, in a log of detections
 
 
 def known_formats() -> str:
@@ -91,6 +92,12 @@ def open_file(file: File, format: str | None = None) -> Found:
     InputError
         If the header fits nothing known (it is listed, with the formats known).
     """
+    if vdat.sniff(file.data) and format in (None, vdat.NAME):
+        log = vdat.open_log(file)
+        return Found(
+            file, "detections", vdat.TITLE, None, lambda how: vdat.read_detections(log, how),
+            lambda: vdat.read_references(log),
+        )  # fmt: skip
     for f in WHOLE_FILES:
         if f.sniff(file.data) and format in (None, f.NAME):
             return Found(
@@ -144,10 +151,10 @@ def _header(table: Table) -> str:
 
 
 class ReadFiles(NamedTuple):
-    """Detections file by file, and the logs of the receivers that came along."""
+    """Detections file by file, and the comparisons of clocks that came along."""
 
     detections: list[Detections]
-    events: list[Events]
+    references: ClockReferences
 
 
 def read_files(paths: Sequence[str | Path], format: str | None, how: How) -> ReadFiles:
@@ -161,7 +168,7 @@ def read_files(paths: Sequence[str | Path], format: str | None, how: How) -> Rea
     if format is not None and format not in NAMES:
         raise InputError(f"format '{format}' is not one of {', '.join(NAMES)}")
     detections: list[Detections] = []
-    events: list[Events] = []
+    references: list[ClockReferences] = []
     for path in paths:
         files = load_all(path)
         passed: list[str] = []
@@ -176,10 +183,10 @@ def read_files(paths: Sequence[str | Path], format: str | None, how: How) -> Rea
                 continue
             if found.kind == "detections":
                 detections.append(found.read(how))
-                if vdat.sniff(file.data):
-                    events.append(vdat.read_events(file))
+                if found.references is not None:
+                    references.append(found.references())
             elif found.kind == "events":
-                events.append(found.read(how))
+                references.append(found.read(how).references)
             elif len(files) == 1:
                 raise InputError(
                     f"{found.title}, not detections", file=file.name, mend="give detections"
@@ -199,7 +206,7 @@ def read_files(paths: Sequence[str | Path], format: str | None, how: How) -> Rea
             file=", ".join(map(str, paths)),
             mend="give the detections export too",
         )
-    return ReadFiles(detections, events)
+    return ReadFiles(detections, ClockReferences.concat(references))
 
 
 def read_frame(df, name: str = "dataframe", tz: str | None = None) -> Detections:

@@ -119,7 +119,9 @@ def read(table: Table, how: How) -> Positions:
         if f"var{axis}" in at:
             extra[f"sd_{axis}"] = np.sqrt(np.maximum(table.numbers(at[f"var{axis}"]), 0))
     nowhere = np.full(len(table), np.nan)
-    notes = [*table.notes, *_flagged(table, extra)]
+    names = [layout.time, *layout.tag.split(), *layout.metres.split(), *layout.degrees.split()]
+    used = [*wanted.values(), *(at[c] for c in [*names, "varx", "vary"] if c in at)]
+    notes = [*table.notes, *_build.unused(table, used), *_flagged(table, extra)]
     report = ReadReport(layout.title, (table.file,), len(table), tuple(notes))
     x, y, lon, lat = (nowhere if v is None else v for v in values.values())
     return Positions(time, tag, x, y, lon, lat, extra, None, report)

@@ -6,10 +6,13 @@ versions (1.0 and 2.0), so columns are found by name. Detections are DET, DET_SE
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 
 from maloc.data.detections import Detections
 from maloc.data.events import ClockReferences, Events
@@ -22,12 +25,25 @@ from maloc.data.readers._text import Table, normal
 from maloc.data.report import Note, ReadReport
 from maloc.errors import InputError
 
-__all__ = ["MAGIC", "NAME", "TITLE", "read_detections", "read_events", "sniff"]
+__all__ = [
+    "MAGIC",
+    "NAME",
+    "TITLE",
+    "Log",
+    "open_log",
+    "read_detections",
+    "read_events",
+    "read_references",
+    "sniff",
+]
 
 NAME = "vdat"
 TITLE = "Fathom/VDAT CSV (VEMCO DATA LOG; DET, CLOCK_REF, ... records)"
 MAGIC = b"VEMCO DATA LOG"
 DETECTIONS = ("DET", "DET_SENS", "DET_HTI")
+_CLOCKS = ("CLOCK_REF", "CLOCK_SET")
+_COMMON = ("device_time_utc", "time", "time_offset_h", "time_correction_s", "model",
+           "serial_number")  # fmt: skip
 _FILE = ("VEMCO DATA LOG", "RECORD TYPE", "DATA_SOURCE_FILE")  # about the file, not the receiver
 
 
@@ -36,15 +52,16 @@ def sniff(data: bytes) -> bool:
     return data[:64].removeprefix(b"\xef\xbb\xbf").lstrip(b'"').startswith(MAGIC)
 
 
-class _Log(NamedTuple):
-    """A file's records: one table a record type (and a description of its columns)."""
+class Log(NamedTuple):
+    """A file's records: one table a record type and a description of its columns."""
 
+    file: str
     version: str
     tables: list[tuple[str, Table]]
     strange: dict[str, int]  # record types without a description, and how many there are
 
 
-def read_detections(file: File, how: How) -> Detections:
+def read_detections(log: Log, how: How) -> Detections:
     """Read the detections of a log.
 
     Times are those of the column `Time`, corrected when the log was made, where it is filled, and
@@ -55,7 +72,7 @@ def read_detections(file: File, how: How) -> Detections:
     InputError
         If the log has no detection records at all, or a value in them cannot be read.
     """
-    log = _open(file)
+    strange = dict(log.strange)
     parts = []
     # a detection may be there again with its sensor's value: that one comes first and is kept
     for kind in reversed(DETECTIONS):
@@ -63,7 +80,7 @@ def read_detections(file: File, how: How) -> Detections:
             if name == kind and innovasea.matches(table):
                 parts.append(innovasea.read(table, how, f"Fathom/VDAT CSV {log.version}"))
             elif name == kind:
-                log.strange[name] = log.strange.get(name, 0) + len(table)
+                strange[name] = strange.get(name, 0) + len(table)
     other: dict[str, int] = {}
     for name, table in log.tables:
         if name not in (*DETECTIONS, *_FILE) and len(table):
@@ -72,19 +89,17 @@ def read_detections(file: File, how: How) -> Detections:
     if other:
         listed = ", ".join(f"{k} ({n})" for k, n in other.items())
         notes.append(
-            Note(
-                "info", f"records that are no detections: {listed}", sum(other.values()), file.name
-            )
+            Note("info", f"records that are no detections: {listed}", sum(other.values()), log.file)
         )
-    if log.strange:
-        listed = ", ".join(f"{k} ({n})" for k, n in log.strange.items())
+    if strange:
+        listed = ", ".join(f"{k} ({n})" for k, n in strange.items())
         text = f"records of types that are not known, passed over: {listed}"
-        notes.append(Note("info", text, sum(log.strange.values()), file.name))
+        notes.append(Note("info", text, sum(strange.values()), log.file))
     if not parts:
         none = np.empty(0, "U1")
         text = "no detections in the log"
-        notes.append(Note("warning", text, 0, file.name))
-        report = ReadReport(f"Fathom/VDAT CSV {log.version}", (file.name,), 0, tuple(notes))
+        notes.append(Note("warning", text, 0, log.file))
+        report = ReadReport(f"Fathom/VDAT CSV {log.version}", (log.file,), 0, tuple(notes))
         return Detections(np.empty(0, np.int64), none, none, {}, report)
     whole = _in_time_order(Detections.concat(parts, "record type"))
     report = whole.report
@@ -97,110 +112,121 @@ def _in_time_order(d: Detections) -> Detections:
     return d.take(np.argsort(d.time, kind="stable"))
 
 
-def _open(file: File) -> _Log:
+def open_log(file: File) -> Log:
+    """Sort a log's lines by record type.
+
+    Raises
+    ------
+    InputError
+        If it has no records, or one has more fields than its description.
+    """
     data, notes = normal(*file)
-    if not data.endswith(b"\n"):
-        data += b"\n"
-    lines = data.split(b"\n")
-    version, tables, strange = "", [], {}
-    for first, last in _sections(lines):
-        head = lines[first].decode().split(",")
-        version = version or (head[1].strip() if len(head) > 1 else "")
-        for name, table, known in _records(file.name, lines, first, last, notes):
-            notes = []
+    lines = pl.read_csv(
+        io.BytesIO(data), has_header=False, infer_schema=False, separator="\x1f", quote_char=None,
+        truncate_ragged_lines=True,
+    ).to_series()  # fmt: skip
+    kind = lines.str.extract(r'^[" ]*([^,"]*)').str.strip_chars().fill_null("")
+    starts = (kind == MAGIC.decode()).arg_true().to_list()
+    head = str(lines[starts[0]]).split(",")
+    version = head[1].strip('" ') if len(head) > 1 else ""
+    tables, strange = [], {}
+    for first, last in zip(starts, [*starts[1:], len(lines)], strict=True):
+        for name, table, known in _records(file.name, lines, kind, first, last):
             if known:
-                tables.append((name, table))
+                tables.append((name, replace(table, notes=tuple(notes))))
+                notes = []
             else:
                 strange[name] = strange.get(name, 0) + len(table)
     if not tables and not strange:
         raise InputError("a Fathom/VDAT log without records", file=file.name)
-    return _Log(version, tables, strange)
-
-
-def _sections(lines: list[bytes]) -> Iterator[tuple[int, int]]:
-    """Yield where each of the logs pasted into a file begins and ends."""
-    starts = [i for i, s in enumerate(lines) if s.lstrip(b'"').startswith(MAGIC)]
-    yield from zip(starts, [*starts[1:], len(lines)], strict=True)
+    return Log(file.name, version, tables, strange)
 
 
 def _records(
-    name: str, lines: list[bytes], first: int, last: int, notes: list[Note]
+    name: str, lines: pl.Series, kind: pl.Series, first: int, last: int
 ) -> Iterator[tuple[str, Table, bool]]:
-    rows: dict[str, list[int]] = {}
-    header: dict[str, bytes] = {}
-    for i in range(first + 1, last):
-        kind = lines[i].partition(b",")[0].strip(b'" \t').decode()
-        if kind.endswith("_DESC"):
-            header[kind.removesuffix("_DESC")] = lines[i]
-            rows.setdefault(kind.removesuffix("_DESC"), [])
-        elif kind:
-            rows.setdefault(kind, []).append(i)
-    for kind, at in rows.items():
-        if kind in _FILE or (kind not in header and not at):
+    """Yield each record type of one log, its table, and whether its columns are described."""
+    lines, kind = lines[first:last], kind[first:last]
+    names = kind.unique(maintain_order=True).to_list()
+    for what in dict.fromkeys(n.removesuffix("_DESC") for n in names if n):
+        if what in _FILE:
             continue
-        known = kind in header
-        head = header.get(kind, b"RECORD")
-        found = read_lines(name, b"\n".join([head, *(lines[i] for i in at)]) + b"\n", 0, ",")
-        line = np.asarray(at, np.int64)[found.line - 2] + 1 if at else found.line
-        table = Table(name, tuple(found.header), tuple(found.cells), line, ",", tuple(notes))
+        described = (kind == f"{what}_DESC").arg_true()
+        at = (kind == what).arg_true().to_numpy()
+        head = lines[int(described[-1])] if len(described) else "RECORD"
+        text = head.encode() + b"\n"
+        if len(at):
+            text += lines.gather(at).str.join("\n")[0].encode() + b"\n"
+        found = read_lines(name, text, 0, ",")
+        line = first + at[found.line - 2] + 1 if len(at) else found.line
+        table = Table(name, tuple(found.header), tuple(found.cells), line)
         for i, extra in found.long.items():
-            if known and any(v.strip() for v in extra):
+            if len(described) and any(v.strip() for v in extra):
                 n = len(found.header)
                 raise InputError(
-                    f"{n + len(extra)} fields in a {kind} record of {n} columns",
+                    f"{n + len(extra)} fields in a {what} record of {n} columns",
                     file=name,
                     row=int(line[i]),
                 )
-        yield kind, table, known
+        yield what, table, bool(len(described))
 
 
-def read_events(file: File) -> Events:
+def read_references(log: Log) -> ClockReferences:
+    """Return the comparisons of clocks in a log."""
+    return ClockReferences.concat(
+        [_references(kind, table) for kind, table in log.tables if kind in _CLOCKS]
+    )
+
+
+def _placed(table: Table) -> tuple[Table, np.ndarray, list[str]] | None:
+    """A record type's rows that say when and at which receiver, and when (ns); None if none can."""
+    simple = [plain(c) for c in table.columns]
+    if not {"device_time_utc", "serial_number"} <= set(simple):
+        return None
+    time, known = _clock.stamps(table, simple.index("device_time_utc"), "UTC", coarse=True)
+    known = known & table.text(simple.index("serial_number")).is_not_null().to_numpy()
+    return table.rows(known), time[known], simple
+
+
+def read_events(log: Log) -> Events:
     """Read everything in a log that is no detection: one event a filled field of a record."""
-    log = _open(file)
     columns: list[list] = [[], [], [], [], []]
-    references = []
     for kind, table in log.tables:
-        simple = [plain(c) for c in table.columns]
-        if kind in (*DETECTIONS, *_FILE) or not {"device_time_utc", "serial_number"} <= set(simple):
+        placed = None if kind in DETECTIONS else _placed(table)
+        if placed is None:
             continue
-        who = table.text(simple.index("serial_number"))
-        time, known = _clock.stamps(table, simple.index("device_time_utc"), "UTC", coarse=True)
-        known &= who.is_not_null().to_numpy()
-        if kind in ("CLOCK_REF", "CLOCK_SET"):
-            references.append(_references(kind, table.rows(known), time[known]))
-        skipped = ("device_time_utc", "time", "time_offset_h", "time_correction_s", "model",
-                   "serial_number")  # fmt: skip
+        table, time, simple = placed
         for k, c in enumerate(simple):
-            if not k or c in skipped or table.empty(k):
+            if not k or c in _COMMON or table.empty(k):
                 continue
             name, _, unit = table.columns[k].rstrip(")").partition(" (")
-            filled = known & table.text(k).is_not_null().to_numpy()
-            n = int(filled.sum())
+            filled = table.text(k).is_not_null().to_numpy()
             rows = table.rows(filled)
             columns[0] += time[filled].tolist()
             columns[1] += rows.text(simple.index("serial_number")).to_list()
-            columns[2] += [_kind(kind, name)] * n
+            columns[2] += [_kind(kind, name)] * len(rows)
             columns[3] += rows.text(k).to_list()
-            columns[4] += [unit] * n
+            columns[4] += [unit] * len(rows)
     order = np.argsort(np.array(columns[0], np.int64), kind="stable")
     time = np.array(columns[0], np.int64)[order]
     receiver, what, value, unit = (
         np.array(c, str)[order] if c else np.empty(0, "U1") for c in columns[1:]
     )
-    report = ReadReport(f"Fathom/VDAT CSV {log.version}", (file.name,), len(time))
-    return Events(time, receiver, what, value, unit, ClockReferences.concat(references), report)
+    report = ReadReport(f"Fathom/VDAT CSV {log.version}", (log.file,), len(time))
+    return Events(time, receiver, what, value, unit, read_references(log), report)
 
 
 def _kind(record: str, field: str) -> str:
     return f"Temperature, {field.lower()}" if record == "TEMP" else f"{record} {field}"
 
 
-def _references(kind: str, table: Table, time: np.ndarray) -> ClockReferences:
+def _references(kind: str, table: Table) -> ClockReferences:
     """CLOCK_REF: how far off the clock was. CLOCK_SET: the same, and right from then on."""
-    simple = [plain(c) for c in table.columns]
+    placed = _placed(table)
     column = "external_difference_s" if kind == "CLOCK_REF" else "prior_difference_s"
-    if column not in simple:
+    if placed is None or column not in placed[2]:
         return ClockReferences.concat([])
+    table, time, simple = placed
     behind = table.numbers(simple.index(column))
     who = np.asarray(table.text(simple.index("serial_number")).to_list(), str)
     said = table.text(simple.index("source")) if "source" in simple else None
