@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maloc.data import Receivers, read_detections, read_receivers, read_toa
+from maloc.data import (
+    Receivers,
+    read_detections,
+    read_events,
+    read_positions,
+    read_receivers,
+    read_tags,
+    read_toa,
+)
 from maloc.data.check import check
 from maloc.errors import InputError
 
@@ -29,6 +37,20 @@ HEADERS = [
     "receiver,x,y,depth,sync_tag,start,end",
     "receiver;longitude;latitude",
     "ping,301001,301002,S18-2,ss",
+    "Date and Time (UTC),Receiver,Description,Data,Units",
+    "Device Time (UTC),Time,Time Offset (h),Time Correction (s),Serial Number,Full ID",
+    "dateCollectedUTC,receiver,tagName,station,unqDetecID",
+    "DETECTEDID,DATETIME,X,Y,HPE,LAT,LON",
+    "TAG,TIME,X,Y,NBS,VARX,VARY",
+    "timestamp,location-long,location-lat,visible",
+    "tag,animal,sensor,slope,min_delay,max_delay,start",
+    "WHS4K-1,45391.95142361,0.43875,37910,9416,12",
+    "Name,Latitude,Longitude,Device,Device Depth",
+    "INS_SERIAL_NO,DEPLOY_LAT,DEPLOY_LONG,RECOVER_LAT,RECOVER_LONG",
+    "VEMCO DATA LOG,2.0.0,x",
+    "VEMCO DATA LOG,2.0.0,x\nDET_DESC,Device Time (UTC),Time,Serial Number,Full ID\n"
+    "CLOCK_REF_DESC,Device Time (UTC),Serial Number,External Difference (s),Source",
+    "Serial Number: WHS3K-1\nGMT Correction: 00:00\nDecoded Tag Data:",
     "",
     "a,b",
 ]
@@ -38,7 +60,8 @@ CELLS = st.one_of(
          "2021-06-01 10:00:00.217", "2021-06-01 10:00:00", "2021-06-01T25:00:00Z", "2021-02-30",
          "1622548800", "1622548800.5", "99999999999999999999", "VR2W-301001", "A69-1602-12345", ";",
          "Date and Time (UTC)", "time", "R64K", "\ufeff", "\x00", "\r", "9.7E+11",
-         "2021-06-01 10:00"]
+         "2021-06-01 10:00", "DET", "CLOCK_REF", "UTC", "release", "INITIALIZATION",
+         "04/19/24  22:50:03     0.43875        37910       P       9.1        12"]
     ),
     st.text(max_size=8),
     st.floats().map(repr),
@@ -72,24 +95,39 @@ def test_any_table_is_read_or_refused(tmp_path_factory, table, zipped, tz):
     data = text_of(table)
     path.write_bytes(gzip.compress(data) if zipped else data)
     d = attempt(lambda: read_detections(path, tz=tz))
+    rows = len(table[1]) + text_of(table).count(b"\n") + 1
     if d is not None:
-        rows = len(table[1])
         assert len(d) <= rows
         assert ((d.time >= 0) & (d.time < 7_300_000_000 * NS)).all()
         assert (d.receiver != "").all() and (d.tag != "").all()
     r = attempt(lambda: read_receivers(path))
     if r is not None:
-        assert len(r) <= len(table[1]) and np.isfinite(r.xy).all()
+        assert len(r) <= rows and np.isfinite(r.xy).all()
     a = attempt(lambda: read_toa(path, R, ignore_columns=("a", "b")))
     if a is not None:
         assert a.n_pings <= len(table[1]) and (a.sound_speed > 0).all()
+    if (p := attempt(lambda: read_positions(path, tz=tz))) is not None:
+        assert len(p) <= rows and np.isfinite(p.time).all()
+    if (tags := attempt(lambda: read_tags(path))) is not None:
+        assert len(tags) <= rows and (tags.tag != "").all()
+    if (events := attempt(lambda: read_events(path, tz=tz))) is not None:
+        assert np.isfinite(events.references.behind).all()
     str(check([path]))
 
 
 @given(st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(tmp_path_factory, data):
     path = tmp_path_factory.getbasetemp() / "bytes.csv"
-    for head in (b"", b"\x1f\x8b", b"PAR1", b"SQLite format 3\x00", b"time,receiver,tag\n"):
+    for head in (
+        b"",
+        b"\x1f\x8b",
+        b"PAR1",
+        b"SQLite format 3\x00",
+        b"time,receiver,tag\n",
+        b"PK\x03\x04",
+        b"VEMCO DATA LOG,",
+        b"Decoded Tag Data:",
+    ):
         path.write_bytes(head + data)
         attempt(lambda: read_detections(path))
         attempt(lambda: read_receivers(path))
