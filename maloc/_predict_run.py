@@ -74,12 +74,17 @@ def run_predict(
                 first, last = track.span
                 times = regular_times(first - around[0], last + around[1], every, track.origin)
                 if not len(times):
-                    raise InputError(f"tag {track.tag}: no multiple of {every:g} s in its track")
+                    log.warn(f"tag {track.tag}: no multiple of {every:g} s within its track")
+                    continue
                 tables.append(prediction_table(track, times, seed))
                 if draws:
                     whole.append(draws_table(track.sample_tracks(times, draws, seed)))
                 sd = np.median(tables[-1].select("sd_x", "sd_y").to_numpy())
                 lines.append(f"{track.tag or 'track'}: {len(times)} times, median sd {sd:.3g} m")
+        if not tables:
+            raise InputError(
+                f"no multiple of {every:g} s within any track", mend="a smaller --every"
+            )
         with output_folder(out, force) as folder:
             with log.stage("write"):
                 table = pl.concat(tables, how="diagonal_relaxed")
@@ -129,6 +134,8 @@ def draws_table(tracks: TrackDraws) -> pl.DataFrame:
         "x": tracks.position[..., 0].ravel(),
         "y": tracks.position[..., 1].ravel(),
     }
+    if tracks.position.shape[2] == 3:
+        columns["z"] = tracks.position[..., 2].ravel()
     if tracks.velocity is not None:
         columns |= {"vx": tracks.velocity[..., 0].ravel(), "vy": tracks.velocity[..., 1].ravel()}
     return pl.DataFrame(columns)

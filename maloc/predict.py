@@ -191,9 +191,12 @@ def prediction_table(track: StoredTrack, times: np.ndarray, seed: int = 0) -> pl
     columns |= {"x": found.mean[:, 0], "y": found.mean[:, 1], "sd_x": sd[:, 0], "sd_y": sd[:, 1]}
     columns |= {"cov_xy": found.covariance[:, 0, 1]}
     columns |= {"x_lo": low[:, 0], "x_hi": high[:, 0], "y_lo": low[:, 1], "y_hi": high[:, 1]}
-    if found.mean.shape[1] == 4:
-        columns |= {"vx": found.mean[:, 2], "vy": found.mean[:, 3]}
-        columns |= {"sd_vx": sd[:, 2], "sd_vy": sd[:, 3]}
+    order, axes = track.path.state.shape[2:]
+    if axes == 3:
+        columns |= {"z": found.mean[:, 2], "sd_z": sd[:, 2]}
+    if order == 2:
+        columns |= {"vx": found.mean[:, axes], "vy": found.mean[:, axes + 1]}
+        columns |= {"sd_vx": sd[:, axes], "sd_vy": sd[:, axes + 1]}
     columns["within"] = found.within
     if track.crs is not None:
         from pyproj import Transformer

@@ -154,13 +154,14 @@ def _movement(fit: Fit):
     site = predict.path_site(fit.cm)
     x, u = fit.flat_draws()
     lead = x.shape[:2]
-    read = predict.read_law(fit, *(v.reshape(-1, *v.shape[2:]) for v in (x, u)))
+    flat = (v.reshape(-1, *v.shape[2:]) for v in (x, u))
+    read = predict.read_law(fit, *flat, emission=False)
     n = fit.n_states
-    tag = read["tag"][0][:n] if "tag" in read else np.zeros(n, int)
+    tag = read["tag"][:n] if "tag" in read else np.zeros(n, int)
     first = np.unique(tag, return_index=True)[1]
     told, time = predict.clock_parts(fit, read)
     variables = {
-        "time": (("state",), time[0] if time.ndim > 1 else time),
+        "time": (("state",), time),
         "told": (("state",), told),
         "tag": (("state",), tag),
     }

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from maloc._jax import jax, jnp
+from maloc._jax import jax
 from maloc._path import MarkovPath
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
@@ -38,7 +38,8 @@ class Prediction(NamedTuple):
     times : (n,) array
         s.
     mean : (n, d) array
-        x, y (m) and, where the movement has them, velocities along x and y (m/s).
+        Positions (m), x and y first, and where the movement has them velocities (m/s), in the
+        same order.
     covariance : (n, d, d) array
     within : (n,) array of bool
         Between the first and the last state; elsewhere the movement model alone says.
@@ -68,9 +69,9 @@ class TrackDraws:
     ----------
     times : (n,) array
         s, ascending.
-    position : (D, n, 2) array
-        m.
-    velocity : (D, n, 2) array, optional
+    position : (D, n, A) array
+        m: x, y, and depth where the track has it.
+    velocity : (D, n, A) array, optional
         m/s; None for movement without one.
     tag : str
     origin : int, optional
@@ -88,7 +89,8 @@ class TrackDraws:
 
     def __post_init__(self) -> None:
         times, position = np.asarray(self.times, float), np.asarray(self.position, float)
-        if times.ndim != 1 or position.shape[1:] != (len(times), 2):
+        shapes = [(len(times), axes) for axes in (2, 3)]
+        if times.ndim != 1 or position.ndim != 3 or position.shape[1:] not in shapes:
             raise InputError(f"positions {position.shape} do not go with {len(times)} times")
         if (np.diff(times) <= 0).any():
             raise InputError("times of a track must ascend")
@@ -238,7 +240,7 @@ def _path(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     read = read_law(fit, x, u)
     mine = states_of(fit, read.get("tag"), tag)
     told, time = clock_parts(fit, read)
-    clock = np.broadcast_to(time, (len(x), fit.n_states))[:, mine]
+    clock = np.tile(time[mine], (len(x), 1))
     if told.any():
         clock = np.where(told[mine], read["emission_time"][:, mine], clock)
     state = x[:, mine, site.columns].reshape(len(x), len(mine), -1, site.tail[-1])
@@ -247,10 +249,21 @@ def _path(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     return PathDraws(site.law, scale, in_order(clock), state, home)
 
 
-def read_law(fit: Fit, x: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
-    """What the path's law is made of, for flat draws x (D, T, d), u (D, k); padding too."""
-    read = _reader(fit.cm, path_site(fit.cm).name)(jnp.asarray(x), jnp.asarray(u), fit.args)
-    return {k: np.asarray(v) for k, v in read.items()}
+def read_law(fit: Fit, x: np.ndarray, u: np.ndarray, emission: bool = True) -> dict:
+    """What the path's law is made of, for flat draws x (D, T, d), u (D, k); padding too.
+
+    ``dt`` (T - 1,) and ``tag`` (T,) are data; the law's parameters, ``centre`` where it has a home
+    and ``emission_time`` have one value a draw (the last the first draw's alone, if ``emission`` is
+    false). One draw at a time: any number of them shares one compilation.
+    """
+    read = _reader(fit.cm, path_site(fit.cm).name)
+    once = {"dt", "tag"} | (set() if emission else {"emission_time"})
+    out: dict[str, list] = {}
+    for one_x, one_u in zip(x, u, strict=True):
+        for name, value in read(one_x, one_u, fit.args).items():
+            if name not in once or name not in out:
+                out.setdefault(name, []).append(np.asarray(value))
+    return {k: v[0] if k in ("dt", "tag") else np.array(v) for k, v in out.items()}
 
 
 def by_tag(value: np.ndarray, first: np.ndarray, vector: bool = False) -> np.ndarray:
@@ -262,10 +275,9 @@ def by_tag(value: np.ndarray, first: np.ndarray, vector: bool = False) -> np.nda
 
 @functools.lru_cache(maxsize=32)
 def _reader(cm: ChainModel, name: str):
-    """Jitted: what the path's law and the clock are made of, for draws x (D, T, d), u (D, k)."""
+    """Jitted: what the path's law and the clock are made of, for one draw x (T, d), u (k,)."""
 
-    def one(draw, args):
-        x, u = draw
+    def one(x, u, args):
         trace = cm._trace(cm.sites(x, u)[0], args)
         law, _ = _unwrap(trace[name]["fn"])
         out = {key: getattr(law, key) for key in law.scale_names}
@@ -278,12 +290,12 @@ def _reader(cm: ChainModel, name: str):
         out["dt"] = law.dt
         return out
 
-    return jax.jit(lambda x, u, args: jax.lax.map(lambda draw: one(draw, args), (x, u)))
+    return jax.jit(one)
 
 
 def states_of(fit: Fit, tags: np.ndarray | None, tag: int) -> np.ndarray:
     """Indices of a tag's states."""
-    here = np.zeros(fit.n_states, int) if tags is None else tags[0][: fit.n_states]
+    here = np.zeros(fit.n_states, int) if tags is None else tags[: fit.n_states]
     mine = np.flatnonzero(here == tag)
     if not len(mine):
         raise InputError(f"there is no tag {tag}: the fit has {len(np.unique(here))}")
@@ -291,9 +303,9 @@ def states_of(fit: Fit, tags: np.ndarray | None, tag: int) -> np.ndarray:
 
 
 def clock_parts(fit: Fit, read: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Where a state stands at its emission time (T,) bool, and its time elsewhere, s.
+    """Where a state stands at its emission time (T,) bool, and its time elsewhere (T,), s.
 
-    The time is (T,), or (D, T) in a model of somebody's own, whose tags all begin at 0.
+    In a model of somebody's own all tags begin at 0.
     """
     data, n = fit.args[0] if fit.args else None, fit.n_states
     if isinstance(data, ToaData | EncounterData | JointData):
@@ -301,12 +313,11 @@ def clock_parts(fit: Fit, read: dict[str, np.ndarray]) -> tuple[np.ndarray, np.n
         if "emission_time" in read:
             told = emission_told(data)[:n] if isinstance(data, JointData) else ~told
         return told, np.asarray(data.time)[:n]
-    dt = read["dt"][:, : n - 1]
-    clock = np.concatenate([np.zeros((len(dt), 1)), np.cumsum(dt, axis=1)], axis=1)
+    clock = np.concatenate([[0.0], np.cumsum(read["dt"][: n - 1])])
     if "tag" in read:
-        tag = read["tag"][0][:n]
+        tag = read["tag"][:n]
         starts = np.concatenate([[True], tag[1:] != tag[:-1]])
-        clock = clock - clock[:, np.maximum.accumulate(np.where(starts, np.arange(n), 0))]
+        clock = clock - clock[np.maximum.accumulate(np.where(starts, np.arange(n), 0))]
     return np.zeros(n, bool), clock
 
 
