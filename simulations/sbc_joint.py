@@ -94,7 +94,7 @@ def quantities(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def cases(
-    key, fits: int, silence: str, *, method: str = "nuts", draws: int = 1000
+    key, fits: int, silence: str, *, method: str = "nuts", chains: int = 2, draws: int = 1000
 ) -> Iterator[tuple[dict, dict, bool]]:
     """Truth and posterior of ``fits`` simulated data sets."""
     model = sbc.with_priors(joint, PRIORS)
@@ -102,9 +102,8 @@ def cases(
     for key_fit in jax.random.split(key, fits):
         key_data, key_chains = jax.random.split(key_fit)
         truth, seen = simulate(key_data, model, data)
-        fit = maloc.infer.nuts(
-            key_chains, model, seen, draws=draws, method=method, progress=False, **OPTIONS
-        )
+        how = {"method": method, "chains": chains, "draws": draws, "progress": False}
+        fit = maloc.infer.nuts(key_chains, model, seen, **how, **OPTIONS)
         every = {k: v.reshape(-1) for k, v in quantities(fit.draws()).items()}
         keep = sbc.spaced(len(every["sigma"]))
         yield quantities(truth), {k: v[keep] for k, v in every.items()}, bool(fit.warnings)
@@ -117,9 +116,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--silence", choices=("given", "unknown"), default="given")
     parser.add_argument("--method", choices=("nuts", "hmc"), default="nuts")
-    parser.add_argument("--draws", type=int, default=500, help="draws of each of two chains")
+    parser.add_argument("--chains", type=int, default=2)
+    parser.add_argument("--draws", type=int, default=500, help="draws of each chain")
     asked = parser.parse_args(argv)
-    how = {"method": asked.method, "draws": asked.draws}
+    how = {"method": asked.method, "chains": asked.chains, "draws": asked.draws}
     found = cases(jax.random.key(asked.seed), asked.fits, asked.silence, **how)
     return sbc.print_ranks(sbc.calibrate(sbc.shown(found, asked.fits)))
 

@@ -143,7 +143,7 @@ def methods(design: Design) -> dict[str, dict[str, Any]]:
     return out
 
 
-def fit(name: str, toa: ArrivalTimes, options: dict, sampler: str, seed: int):
+def fit(name: str, toa: ArrivalTimes, options: dict, sampler: str, seed: int, size=(2, 500)):
     """Positions (P, 2), limits of their central 95 % (2, P, 2), and the fit, at its own rows."""
     history = arrival_history(heard_rows(toa)) if name == "heard" else (
         arrival_history(toa, known=True)
@@ -154,7 +154,8 @@ def fit(name: str, toa: ArrivalTimes, options: dict, sampler: str, seed: int):
         half = Z95 * np.sqrt(np.einsum("tii->ti", cov))[:, :2]
         return mean[:, :2], np.stack([mean[:, :2] - half, mean[:, :2] + half]), got
     key = jax.random.key(seed)
-    got = infer.nuts(key, joint, history, method=sampler, draws=500, progress=False, **options)
+    how = {"method": sampler, "chains": size[0], "draws": size[1], "progress": False}
+    got = infer.nuts(key, joint, history, **how, **options)
     draws = got.draws()["position"].reshape(-1, got.n_states, 2)
     return draws.mean(axis=0), np.quantile(draws, [0.025, 0.975], axis=0), got
 
@@ -179,9 +180,18 @@ def truth_gap(got, path: np.ndarray, truth: dict) -> float:
 
 
 def study(
-    design: Design, tracks: int, seed: int, sampler: str, told: str = "", log=sys.stderr
+    design: Design,
+    tracks: int,
+    seed: int,
+    sampler: str,
+    told: str = "",
+    size: tuple[int, int] = (2, 500),
+    log=sys.stderr,
 ) -> list[dict]:
-    """One row a track and method; ``told``: names of the methods, separated by commas, or all."""
+    """One row a track and method; ``told``: names of the methods, separated by commas, or all.
+
+    ``size``: chains, and draws of each, of a sampler.
+    """
     rows = []
     for track in range(tracks):
         toa, path, truth = simulate(np.random.default_rng([seed, track]), design)
@@ -190,7 +200,7 @@ def study(
             if told and name not in told.split(","):
                 continue
             spent = time.process_time()
-            xy, limits, got = fit(name, toa, options, sampler, track)
+            xy, limits, got = fit(name, toa, options, sampler, track, size)
             spent = time.process_time() - spent
             where = heard if name == "heard" else np.ones(len(toa), bool)
             error = np.full(len(toa), np.nan)
@@ -247,10 +257,13 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--stable", action="store_true", help="stable burst intervals")
     parser.add_argument("--told", default="", help="only these: times,heard,given,beat,all")
     parser.add_argument("--method", default="laplace", choices=("laplace", "nuts", "hmc"))
+    parser.add_argument("--chains", type=int, default=2)
+    parser.add_argument("--draws", type=int, default=500, help="of each chain")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(argv)
     design = Design(args.pings, args.mean, args.drift, args.stable)
-    rows = study(design, args.tracks, args.seed, args.method, args.told)
+    size = (args.chains, args.draws)
+    rows = study(design, args.tracks, args.seed, args.method, args.told, size)
     heard = np.mean([r["few"] for r in rows])
     print(f"{design}, {args.tracks} tracks, {args.method}; heard by <= 2 receivers: {heard:.2f}")
     print(table(rows))

@@ -40,7 +40,7 @@ class Kernel(NamedTuple):
 
     ``start(key, m, args) -> state``; ``advance(state, m, args, warming) -> state, Chunk``;
     ``settle(state, factor) -> state, step size``: after warm-up, hold ``factor`` times the step
-    that it found.
+    that it found. HMC takes keys (C,) too: C chains side by side, one step size for all.
     """
 
     start: Callable
@@ -140,9 +140,11 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         white = jax.random.normal(key_place, (_white_size(m),))
         return key, white, *value_and_grad(white, m, args)
 
+    many_begin = jax.jit(jax.vmap(begin, (0, None, None)))
+
     def start(key, m, args):
-        key, white, energy, gradient = begin(key, m, args)
-        return _HmcState(key, white, energy, gradient, jnp.log(0.25), ())
+        place = many_begin if key.ndim else begin
+        return _HmcState(*place(key, m, args), jnp.log(0.25), ())
 
     @jax.jit
     def run(key, white, energy, gradient, log_step, m, args):
@@ -179,8 +181,11 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         )
         return (key, *carry), chunk
 
+    many_run = jax.jit(jax.vmap(run, (0, 0, 0, 0, None, None, None)))
+
     def advance(state, m, args, warming):
-        (key, white, energy, gradient), chunk = run(*state[:5], m, args)
+        move = many_run if state.key.ndim else run
+        (key, white, energy, gradient), chunk = move(*state[:5], m, args)
         log_step, seen = state.log_step, state.log_steps
         if warming:
             rate = float(np.mean(chunk.accept))

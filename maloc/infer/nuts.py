@@ -36,6 +36,7 @@ def nuts(
     warmup: int = 200,
     method: str = "nuts",
     target_accept: float | None = None,
+    side_by_side: bool | None = None,
     progress: bool = True,
     path: tuple[str, ...] | None = None,
     positions: np.ndarray | str | None = None,
@@ -61,6 +62,9 @@ def nuts(
         Target acceptance probability. By default .7 for NUTS and .8 for HMC, which gave the most
         effective draws a gradient on real tracks; .9 below 500 coordinates, where steps adapt so
         long that the tails diverge, and short ones cost nothing.
+    side_by_side : bool, optional
+        HMC's chains advance together in one batch. By default where JAX computes on an
+        accelerator: there dozens of chains cost little more time than one.
     progress : bool
         Show a progress bar on stderr.
     path, positions, **options
@@ -104,30 +108,35 @@ def nuts(
     sizes: list[float] = []
     spent: list[float] = []
     warnings: list[str] = list(start.warnings)
-    keys = iter(jax.random.split(key, chains * (1 + _RETRIES)))
+    together = jax.default_backend() != "cpu" if side_by_side is None else side_by_side
+    batch = chains if together and method == "hmc" else 1
+    keys = iter(jax.random.split(key, (chains * (1 + _RETRIES) // batch, batch)))
     retries, factor = _RETRIES * (chains - 1), 1.0
     try:
         with stages.time("sampling"):
             while len(runs) < chains:
-                run, size, cpu = _run_chain(
+                found, size, cpu = _run_chains(
                     next(keys), kernel, mapping, data, warm, chunks, factor, bar
                 )
-                why = _unhealthy(run)
-                if why and retries:
-                    retries, factor = retries - 1, factor * _SHRINK
-                    warnings.append(
-                        f"a chain was run again from another start, with shorter steps: {why}"
-                    )
-                    bar.total += (warm + chunks) * CHUNK
-                    continue
-                if why:
-                    warnings.append(f"chain {len(runs)} is not to be trusted: {why}")
-                runs.append(run)
-                sizes.append(size)
-                spent.append(cpu)
+                ill = False
+                for run in found[: chains - len(runs)]:
+                    why = _unhealthy(run)
+                    if why and retries:
+                        retries, ill = retries - 1, True
+                        warnings.append(
+                            f"a chain was run again from another start, with shorter steps: {why}"
+                        )
+                        continue
+                    if why:
+                        warnings.append(f"chain {len(runs)} is not to be trusted: {why}")
+                    runs.append(run)
+                    sizes.append(size)
+                    spent.append(cpu / batch)
+                if ill:
+                    factor *= _SHRINK
+                    bar.total += batch * (warm + chunks) * CHUNK
     except _Interrupted as stop:
-        runs.append(stop.run)
-        runs = [r for r in runs if r]
+        runs = [r for r in runs + stop.runs if r][:chains]
         if len(runs) < 2 and sum(map(len, runs)) < 2:
             raise KeyboardInterrupt from None
         warnings.append("interrupted: the draws so far are kept")
@@ -149,8 +158,8 @@ def _default_accept(method: str, coordinates: int) -> float:
 
 
 class _Interrupted(Exception):
-    def __init__(self, run: list[Chunk]) -> None:
-        self.run = run
+    def __init__(self, runs: list[list[Chunk]]) -> None:
+        self.runs = runs
 
 
 def _bar(total: int, show: bool, label: str):
@@ -159,14 +168,15 @@ def _bar(total: int, show: bool, label: str):
     return tqdm(total=total, disable=not show, desc=label, unit="draw", leave=False)
 
 
-def _run_chain(
-    key, kernel: Kernel, mapping, data, warm: int, chunks: int, factor: float, bar
-) -> tuple[list[Chunk], float, float]:
-    """One chain: chunks after warm-up, step size (``factor`` x the adapted one), their CPU s."""
+def _run_chains(
+    keys, kernel: Kernel, mapping, data, warm: int, chunks: int, factor: float, bar
+) -> tuple[list[list[Chunk]], float, float]:
+    """Chains side by side, one a key: chunks of each after warm-up, step size, their CPU s."""
+    alone = len(keys) == 1
     run: list[Chunk] = []
     size, began = float("nan"), time.process_time()
     try:
-        state = kernel.start(key, mapping, data)
+        state = kernel.start(keys[0] if alone else keys, mapping, data)
         for i in range(warm + chunks):
             if i == warm:
                 state, size = kernel.settle(state, factor)
@@ -174,10 +184,17 @@ def _run_chain(
             state, chunk = kernel.advance(state, mapping, data, i < warm)
             if i >= warm:
                 run.append(Chunk(*(np.asarray(part) for part in chunk)))
-            bar.update(CHUNK)
+            bar.update(CHUNK * len(keys))
     except KeyboardInterrupt:
-        raise _Interrupted(run) from None
-    return run, size, time.process_time() - began
+        raise _Interrupted(_each(run, len(keys))) from None
+    return _each(run, len(keys)), size, time.process_time() - began
+
+
+def _each(run: list[Chunk], chains: int) -> list[list[Chunk]]:
+    """Chunks of chains side by side, chain by chain."""
+    if chains == 1:
+        return [run]
+    return [[Chunk(*(part[c] for part in chunk)) for chunk in run] for c in range(chains)]
 
 
 def _unhealthy(run: list[Chunk]) -> str:

@@ -72,15 +72,18 @@ class TestMap:
         np.testing.assert_allclose(path, np.eye(len(path)), atol=0.03)
 
 
-@pytest.mark.parametrize("method", ["nuts", "hmc"])
-def test_linear_gaussian_posterior(fixes_fit, method):
+@pytest.mark.parametrize(
+    "method, chains, together", [("nuts", 2, None), ("hmc", 2, None), ("hmc", 5, True)]
+)
+def test_linear_gaussian_posterior(fixes_fit, method, chains, together):
     """Mean and variance of the track and of the log parameters against quadrature."""
-    fit = maloc.infer.nuts(
-        jax.random.key(2), fixes_fit, draws=1500, warmup=250, method=method, progress=False
-    )
+    how = {"method": method, "chains": chains, "side_by_side": together, "progress": False}
+    draws = 3000 // chains
+    fit = maloc.infer.nuts(jax.random.key(2), fixes_fit, draws=draws, warmup=250, **how)
     assert fit.method == method
     assert fit.warnings == ()
-    assert fit.x.shape == (2, 1500, 14, 2)
+    assert fit.x.shape == (chains, draws, 14, 2)
+    assert len(np.unique(fit.x[:, 0, 0, 0])) == chains
     dt, observed = (np.asarray(a) for a in fit.args)
     mean_u, var_u, mean_x, var_x = oracles.fixes_moments(
         dt, observed, cases.SPREAD, fixes_fit.marginal.u, (2.0, 2.0), n=61
@@ -201,22 +204,24 @@ def test_ill_chains_are_known(why):
 def play(monkeypatch, fixes_fit):
     """Run `nuts` with the chains that a list of keyword arguments for `made_chunk` describes."""
 
-    def run(chains, stop_at=None, **settings):
+    def run(chains, stop_at=None, n_chains=2, **settings):
         rng, started, advanced = np.random.default_rng(1), [], []
 
         def start(key, m, args):
-            started.append(key)
-            return chains[len(started) - 1]
+            started.extend(key if key.ndim else [key])
+            first = len(started) - key.size
+            return chains[first : len(started)] if key.ndim else chains[first]
 
         def advance(state, m, args, warming):
             advanced.append(state)
             if stop_at is not None and len(advanced) == stop_at:
                 raise KeyboardInterrupt
-            return state, made_chunk(rng, fixes_fit.marginal.x, **state)
+            own = [made_chunk(rng, fixes_fit.marginal.x, **c) for c in np.atleast_1d(state)]
+            return state, jax.tree.map(lambda *c: jnp.stack(c), *own) if own[1:] else own[0]
 
         fake = Kernel(start, advance, lambda state, factor: (state, 0.25 * factor))
         monkeypatch.setattr(nuts_module, "kernels", lambda *args: fake)
-        settings = {"draws": 200, "warmup": 50, "progress": False} | settings
+        settings = {"draws": 200, "warmup": 50, "progress": False, "chains": n_chains} | settings
         fit = maloc.infer.nuts(jax.random.key(0), fixes_fit, **settings)
         assert len({str(jax.random.key_data(key)) for key in started}) == len(started)
         return fit, len(started)
@@ -241,6 +246,15 @@ class TestCare:
         assert fit.stats["step_size"] == pytest.approx([0.25, 0.15])  # shorter steps at a retry
         assert not fit.stats["diverging"].any()
         assert np.isfinite(fit.stats["potential"]).all()
+
+    def test_ill_chains_among_others_side_by_side(self, play):
+        many = [{"shift": 0.1}, ILL["hangs at one place"], {}, {}, {}, {}]
+        fit, started = play(many, n_chains=3, method="hmc", side_by_side=True)
+        assert started == 6  # once more a batch of three, of which one is needed
+        assert fit.x.shape == (3, 200, 14, 2)
+        assert len(fit.warnings) == 1 and "hangs" in fit.warnings[0]
+        assert fit.stats["step_size"] == pytest.approx([0.25, 0.25, 0.15])
+        assert fit.u[0].mean() == pytest.approx(0.1, abs=0.2)
 
     def test_chains_that_stay_ill_are_said(self, play):
         fit, started = play([{"diverging": 3}] * 6)
