@@ -25,6 +25,7 @@ WINDOW = 80  # detections that vote together
 CHUNK = 40  # detections by which a stretch grows
 SPAN = 4 * 3600.0  # at most this long, s, both
 STEP = 0.15  # smaller jumps are left to the joint model, s
+CHANCE = 0.02  # share that matches by chance
 SHORTEST = 10  # detections that make a stretch after a jump
 
 
@@ -281,8 +282,9 @@ def _follow(
 
 def _before_the_end(ok: np.ndarray, share: float) -> np.ndarray:
     """Which of a row of detections (N,) lie before matches cease, if they do."""
-    score = np.cumsum(np.where(ok, 1.0, -0.8 * share / max(1.0 - share, 0.3)))
-    if len(score) == 0 or score.max() < 1:
+    share = min(share, 0.95)
+    score = np.cumsum(np.where(ok, np.log(share / CHANCE), np.log((1 - share) / (1 - CHANCE))))
+    if len(score) == 0 or score.max() <= 0:
         return np.zeros(len(ok), bool)
     return np.arange(len(ok)) <= int(len(ok) - 1 - score[::-1].argmax())
 
@@ -311,19 +313,19 @@ def _in_order(found: list[tuple[np.ndarray, np.ndarray]], time: np.ndarray) -> l
         if not kept or np.any(within, axis=0).mean() < 0.5:
             kept.append((rows, value, np.sort(common)))
     kept.sort(key=lambda f: f[2][0])
-    out = [(rows, value, _stretch(time, rows, value)) for rows, value, _ in kept]
-    n = 0
-    while n + 1 < len(out):
-        (rows, value, a), (more, values, b) = out[n], out[n + 1]
-        _, size = CoarseClock((a, b)).jumps[0]
-        silence = float(b.common[0] - a.common[-1])
-        if abs(size) < STEP + 1e-5 * max(silence, 0.0):
-            rows, value = np.r_[rows, more], np.r_[value, values]
-            order = np.argsort(rows)
-            rows, value = rows[order], value[order]
-            out[n : n + 2] = [(rows, value, _stretch(time, rows, value))]
-        else:
-            n += 1
+    out: list[tuple[np.ndarray, np.ndarray, Stretch]] = []
+    for rows, value, _ in kept:
+        stretch = _stretch(time, rows, value)
+        if out:
+            _, size = CoarseClock((out[-1][2], stretch)).jumps[0]
+            silence = float(stretch.common[0] - out[-1][2].common[-1])
+            if abs(size) < STEP + 1e-5 * max(silence, 0.0):
+                before, values, _ = out.pop()
+                rows, value = np.r_[before, rows], np.r_[values, value]
+                order = np.argsort(rows)
+                rows, value = rows[order], value[order]
+                stretch = _stretch(time, rows, value)
+        out.append((rows, value, stretch))
     return [stretch for *_, stretch in out]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 __all__ = ["DRIFT", "Vote", "pairs", "vote"]
 
-DRIFT = 8e-4  # largest believable drift, s/s (69 s a day)
+DRIFT = 1.5e-3  # largest believable drift of two clocks against each other, s/s (130 s a day)
 
 
 class Vote(NamedTuple):
