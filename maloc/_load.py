@@ -42,6 +42,13 @@ class Reading:
 
         return None if self.tag_table is None else read_tags(self.tag_table)
 
+    def receivers(self, path: Path, crs: str | None) -> Receivers:
+        """Read the array, with the sync tags that the table of tags puts beside receivers."""
+        from maloc.data import read_receivers
+
+        found, tags = read_receivers(path, crs=crs), self.tags()
+        return found if tags is None else tags.beside(found)
+
     def detections(self, files: Sequence[Path]) -> Detections:
         """Read detections, by animal where there is a table of tags."""
         from maloc.data import read_detections
@@ -172,10 +179,8 @@ def load(options: TrackOptions, log: Log) -> Source:
     InputError
         If anything in the input makes positions impossible.
     """
-    from maloc.data import read_receivers
-
     with log.stage("read"):
-        receivers = read_receivers(options.receivers, crs=options.crs)
+        receivers = options.reading.receivers(options.receivers, options.crs)
         log.report(receivers.report)
         if len(receivers.names) < 2:
             raise InputError(

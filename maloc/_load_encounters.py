@@ -36,10 +36,8 @@ def load_encounters(options: TrackOptions, log: Log) -> Encounters:
     InputError
         If nothing in the input can be used.
     """
-    from maloc.data import read_receivers
-
     with log.stage("read"):
-        receivers = read_receivers(options.receivers, crs=options.crs)
+        receivers = options.reading.receivers(options.receivers, options.crs)
         log.report(receivers.report)
         if len(receivers.names) < 2:
             raise InputError(

@@ -178,13 +178,12 @@ def run_sync(
     log = Log(quiet)
     with log.listening():
         from maloc import _output
-        from maloc.data import read_receivers
         from maloc.sync import fit
 
         reading = reading or Reading()
 
         with log.stage("read"):
-            table = read_receivers(receivers, crs=crs)
+            table = reading.receivers(receivers, crs)
             log.report(table.report)
             raw = reading.detections(detections)
             log.report(raw.report)

@@ -87,7 +87,7 @@ Clock = Annotated[
 ]
 TagTable = Annotated[
     Path | None,
-    typer.Option("--tag-table", help="Table of codes: their animals, sensors, burst limits."),
+    typer.Option("--tag-table", help="Table of codes: animals, sensors, burst limits, receivers."),
 ]
 
 
@@ -191,6 +191,7 @@ def sync(
     format: Format = None,
     tz: Zone = None,
     clock: Clock = None,
+    tag_table: TagTable = None,
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
@@ -203,7 +204,7 @@ def sync(
     from maloc._load import Reading
     from maloc._run import run_sync
 
-    reading = Reading(format, tz, clock)
+    reading = Reading(format, tz, clock, tag_table)
     how: dict[str, Any] = {"reading": reading, "force": force, "quiet": quiet}
     found = run_sync(detections, receivers, out, reference, sound_speed, crs, seed, **how)
     if not quiet:

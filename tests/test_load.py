@@ -44,13 +44,15 @@ def study(tmp_path):
 
 
 def options(folder, **more: Any):
-    reading = Reading(
-        None, more.pop("tz", "Etc/GMT-2"), None, more.pop("tags", folder / "tags.csv")
-    )
-    return TrackOptions(
-        (folder / "d.csv",), receivers=folder / "r.csv", reading=reading, sync="none",
-        **{"sound_speed": "1500"} | more,
-    )  # fmt: skip
+    zone, tags = more.pop("tz", "Etc/GMT-2"), more.pop("tags", folder / "tags.csv")
+    given: dict[str, Any] = {
+        "detections": (folder / "d.csv",),
+        "receivers": folder / "r.csv",
+        "reading": Reading(None, zone, None, tags),
+        "sync": "none",
+        "sound_speed": "1500",
+    }
+    return TrackOptions(**given | more)
 
 
 def test_one_track_of_two_codes_without_what_came_too_soon(study):

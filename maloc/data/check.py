@@ -219,7 +219,11 @@ class _Study:
         }  # fmt: skip
         notes += _screened(together, self.receivers, limits)
         if self.receivers is not None:
-            notes += _together(together, self.receivers)
+            try:
+                array = self.receivers if self.tags is None else self.tags.beside(self.receivers)
+            except InputError as e:
+                return [*notes, Note("error", str(e), 1)]
+            notes += _together(together, array)
         return notes
 
 

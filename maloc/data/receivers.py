@@ -17,7 +17,7 @@ from maloc.errors import InputError
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["Receivers", "collinear"]
+__all__ = ["Receivers", "collinear", "serial"]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -151,10 +151,10 @@ class Receivers:
         names, table = np.unique(receiver), set(self.names)
         by_serial: dict[str, list[str]] = {}
         for n in self.names:
-            by_serial.setdefault(_serial(n), []).append(n)
+            by_serial.setdefault(serial(n), []).append(n)
         other = {}
         for n in map(str, names):
-            same = by_serial.get(_serial(n), [])
+            same = by_serial.get(serial(n), [])
             if n not in table and len(same) == 1:
                 other[n] = same[0]
         if not other:
@@ -227,9 +227,9 @@ class Receivers:
         return f"Receivers: {names}{moved}, {span}, {frame}, {tags} with a sync tag{flag}"
 
 
-def _serial(name: str) -> str:
-    """The serial number in an Innovasea name (VR2W-301001), other names unchanged."""
-    return name.rsplit("-", 1)[-1] if re.match(r"(VR|HR)\d[^-]*-", name) else name
+def serial(name: str) -> str:
+    """Return the serial number in a maker's name (VR2W-301001, WHS4K-1900132), others unchanged."""
+    return name.rsplit("-", 1)[-1] if re.match(r"(VR|HR|WHS)\d[^-]*-", name) else name
 
 
 def deployment_problem(

@@ -14,6 +14,7 @@ from maloc.errors import InputError
 
 if TYPE_CHECKING:
     from maloc.data.detections import Detections
+    from maloc.data.receivers import Receivers
 
 __all__ = ["Tags", "sensor_values"]
 
@@ -42,6 +43,8 @@ class Tags:
         Limits of the burst interval, s; NaN = not known.
     start, end : array (M,) of int64
         When the animal carried it, ns since 1970 UTC; the smallest and the largest int64 = open.
+    receiver : array (M,) of str, optional
+        The receiver that it stands beside, of sync tags; "" = none.
     report : ReadReport
         What was read, and the notes made on the way.
 
@@ -60,14 +63,16 @@ class Tags:
     max_delay: np.ndarray
     start: np.ndarray
     end: np.ndarray
+    receiver: np.ndarray = None  # pyright: ignore[reportAssignmentType]
     report: ReadReport = field(default_factory=ReadReport)
 
     def __post_init__(self) -> None:
         tag = _arrays.text(self.tag, "tag")
         n = len(tag)
         checked = {"tag": tag}
-        for name in ("animal", "sensor"):
-            checked[name] = _arrays.text(getattr(self, name), name, n)
+        for name in ("animal", "sensor", "receiver"):
+            given = getattr(self, name)
+            checked[name] = _arrays.text(np.full(n, "", "U1") if given is None else given, name, n)
         for name in ("slope", "intercept", "min_delay", "max_delay"):
             checked[name] = _arrays.floats(getattr(self, name), name, (n,))
         for name in ("start", "end"):
@@ -100,6 +105,27 @@ class Tags:
         if not known:
             return None
         return float(self.min_delay[known].min()), float(self.max_delay[known].max())
+
+    def beside(self, receivers: Receivers) -> Receivers:
+        """Return receivers with the sync tags that this table puts beside them.
+
+        Raises
+        ------
+        InputError
+            If a receiver is not among them, or has two sync tags.
+        """
+        tag = receivers.sync_tag.astype(object)
+        given: dict[str, str] = {}
+        for code, name in zip(self.tag, self.receiver, strict=True):
+            if not name:
+                continue
+            known = str(receivers.canonical(np.array([str(name)]))[0])
+            if known not in receivers.names:
+                raise InputError(f"tag {code} stands beside {name}, which is not a receiver")
+            if given.setdefault(known, str(code)) != code:
+                raise InputError(f"receiver {name} has two sync tags: {given[known]}, {code}")
+            tag[receivers.receiver == known] = str(code)
+        return replace(receivers, sync_tag=tag.astype(str)) if given else receivers
 
     def apply(self, detections: Detections) -> Detections:
         """Return detections by animal, with their sensors' values in units.

@@ -470,6 +470,32 @@ def test_the_same_data_on_another_clock_is_refused(tmp_path):
     assert len(read_detections(tmp_path / "raw.csv", tmp_path / "corrected.csv")) == 59
 
 
+def test_exports_with_other_columns_pasted_below(read):
+    wide = "Date and Time (UTC),Receiver,Transmitter,Transmitter Name,Station Name,Sensor Value,x"
+    first = "\n".join([VUE, *rows(stamps(3))])
+    swapped = "Date and Time (UTC),Transmitter,Receiver"
+    text = (
+        f"{first}\n\n\ufeff{wide}\n2021-06-01 11:00:00.5,VR2W-2,A69-1-8,,S,7.5,\n"
+        f"{rows(stamps(1))[0]},,\n{swapped}\n2021-06-01 12:00:00.5,A69-1-9,VR2W-3\n"
+    )
+    d = read(text)
+    assert d.receiver.tolist() == ["1", "1", "1", "2", "3"]
+    assert d.tag.tolist()[-2:] == ["A69-1-8", "A69-1-9"] and d.extra["sensor"][3] == 7.5
+    said = str(d.report)
+    assert "3 exports with different columns pasted together" in said
+    assert "1 detections present in more than one part of the file" in said
+    with pytest.raises(InputError, match="line 8, column 'Date and Time"):
+        read(text.replace(f"{rows(stamps(1))[0]},,\n", "nonsense,VR2W-1,A69-1-7,,,,\n"))
+
+
+def test_one_receiver_under_two_names_counts_once(tmp_path):
+    (tmp_path / "vue.csv").write_text("\n".join([VUE, *rows(stamps(4))]) + "\n")
+    lines = [f"{t},VR2W-1,A69-1-7" for t in stamps(4)]
+    (tmp_path / "own.csv").write_text("time,receiver,tag\n" + "\n".join(lines) + "\n")
+    d = read_detections(tmp_path / "own.csv", tmp_path / "vue.csv")
+    assert len(d) == 4 and d.receivers == ("1",)
+
+
 def test_a_detection_there_again_with_other_values(read):
     d = read(f"{VUE}\n2021-06-01 10:00:00.5,VR2W-1,A-1,,ST1\n2021-06-01 10:00:00.5,VR2W-1,A-1,,\n")
     assert len(d) == 1

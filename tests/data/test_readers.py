@@ -151,8 +151,8 @@ def test_rows_that_do_not_fit_the_header(read):
     with pytest.raises(InputError, match="line 3.*6 fields under 5"):
         read(f"{VUE}\n{good}2021-06-01 10:00:01,5,VR2W-1,A69-1-1,,x\n")
     assert len(read(f"{VUE}\n{good}2021-06-01 10:00:01.5,VR2W-1,A69-1-1,,,,,\n")) == 2
-    with pytest.raises(InputError, match="line 3: another header"):
-        read(f"{VUE}\n{good}{VUE.split(',')[0]},Transmitter,Receiver,,\n")
+    with pytest.raises(InputError, match="line 3: unknown header"):
+        read(f"{VUE}\n{good}{VUE.split(',')[0]},Colour,Receiver,,\n")
     with pytest.raises(InputError, match="broken quotes"):
         read(f'{VUE}\n{good}2021-06-01 10:00:01.5,"VR2W-1,A69-1-1,,\n')
     d = read(f"{VUE}\n{good}2021-06-01 10:00:01.5,VR2W-1,,,\n,VR2W-1,A69-1-1,,\n{good}")

@@ -82,6 +82,19 @@ def test_tables_that_cannot_be(read, text, says):
         read(text)
 
 
+def test_sync_tags_beside_receivers(read):
+    from maloc.data import Receivers
+
+    r = Receivers(np.array(["301001", "VR2W-301002"]), np.zeros(2), np.arange(2.0))
+    tags = read("serial,transmitter\n301001,A69-1602-60001\nVR2W-301002,A69-1602-60002\n")
+    assert tags.beside(r).sync_tag.tolist() == ["A69-1602-60001", "A69-1602-60002"]
+    assert read(TABLE).beside(r) is r
+    with pytest.raises(InputError, match="stands beside 9, which is not a receiver"):
+        read("serial,transmitter\n9,A-1\n").beside(r)
+    with pytest.raises(InputError, match="has two sync tags"):
+        read("serial,transmitter\n301001,A-1\n301001,A-2\n").beside(r)
+
+
 def test_values_that_say_their_unit():
     d = some(
         ["A-1", "A-2", "A-1", "A-3"], [2.5, 11.0, 3.5, 77],

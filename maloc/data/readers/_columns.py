@@ -44,6 +44,7 @@ TAG = {
     "tag": "tag tag_id transmitter acoustic_tag_id full_id tag_code tagname code transmitter_id "
     "tag_id_code id_code signal",
     "codespace": "codespace code_space transmitter_codespace tag_code_space",
+    "receiver": "receiver receiver_id receiver_sn serial hydro",
     "animal": "animal animal_id fish fish_id individual catalognumber name",
     "sensor": "sensor sensor_type sensor_function",
     "slope": "slope sensor_slope",

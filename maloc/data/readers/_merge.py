@@ -13,6 +13,7 @@ from maloc.data._time import NS
 from maloc.data.detections import Detections
 from maloc.data.events import ClockReferences, correct_clocks
 from maloc.data.readers.innovasea import CORRECTED_TIMES, DEVICE_TIMES
+from maloc.data.receivers import serial
 from maloc.data.report import Note
 from maloc.errors import InputError
 
@@ -34,7 +35,7 @@ def merge(parts: Sequence[Detections]) -> Detections:
     InputError
         If two files hold the same detections of a receiver on different clocks.
     """
-    parts = list(parts)
+    parts = _serials(list(parts))
     for a, b in combinations(range(len(parts)), 2):
         for name in set(parts[a].receivers) & set(parts[b].receivers):
             parts[a], parts[b] = _once(parts[a], parts[b], name)
@@ -49,6 +50,20 @@ def merge(parts: Sequence[Detections]) -> Detections:
         )
         out = replace(out, report=out.report.add(Note("warning", text, len(files))))
     return out
+
+
+def _serials(parts: list[Detections]) -> list[Detections]:
+    """Call a receiver by its serial number where one file does and another puts its model first."""
+    names = {n for p in parts for n in p.receivers}
+    other = {n: serial(n) for n in names if serial(n) != n and serial(n) in names}
+    if not other:
+        return parts
+    return [
+        replace(p, receiver=np.array([other.get(n, n) for n in p.receiver.tolist()], str))
+        if set(p.receivers) & other.keys()
+        else p
+        for p in parts
+    ]
 
 
 def _clock_of(part: Detections) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -26,7 +27,7 @@ from maloc.data.readers import receivers as of_receivers
 from maloc.data.readers import tags as of_tags
 from maloc.data.readers._files import File, load_all
 from maloc.data.readers._how import How
-from maloc.data.readers._text import Table, from_frame, table_of
+from maloc.data.readers._text import Table, from_frame, tables_of
 from maloc.data.report import Note
 from maloc.errors import InputError
 
@@ -74,7 +75,7 @@ class Found(NamedTuple):
 
 def known_formats() -> str:
     """Return the formats of detections that are read, in words."""
-    return "; ".join(f.TITLE for f in (*FORMATS, *WHOLE_FILES))
+    return "; ".join(f.TITLE for f in (*FORMATS, vdat, lotek_text.FORMATS[0], atlas))
 
 
 def open_file(file: File, format: str | None = None) -> Found:
@@ -105,9 +106,21 @@ def open_file(file: File, format: str | None = None) -> Found:
             )
         if format == f.NAME:
             raise InputError(f"is not {f.TITLE}", file=file.name)
-    table = table_of(file)
-    found = _of_table(table, format)
-    return Found(file, *found)
+    tables = tables_of(file)
+    found = [Found(file, *_of_table(t, format)) for t in tables]
+    if len(found) == 1 or found[0].kind != "detections":
+        return found[0]
+    for f, table in zip(found, tables, strict=True):
+        if f.kind != "detections":
+            raise table.error(f"{f.title} pasted below detections", mend="split the file there")
+    text = f"{len(found)} exports with different columns pasted together"
+    note = tables[0].note("info", text, len(found), tables[1].head)
+
+    def read(how: How) -> Detections:
+        whole = Detections.concat([f.read(how) for f in found], "part of the file")
+        return replace(whole, report=whole.report.add(note))
+
+    return found[0]._replace(read=read)
 
 
 def _of_table(table: Table, format: str | None) -> tuple[str, str, Table, Callable[[How], Any]]:
@@ -143,7 +156,11 @@ def _of_table(table: Table, format: str | None) -> tuple[str, str, Table, Callab
         )
     if of_tags.matches(table):
         return "tags", "tags table", table, lambda how: of_tags.read(table)
-    raise table.error(f"unknown header, {_header(table)}; formats known: {known_formats()}")
+    raise InputError(
+        f"unknown header, {_header(table)}; formats known: {known_formats()}",
+        file=table.file,
+        row=table.head if table.head > 1 else None,
+    )
 
 
 def _header(table: Table) -> str:

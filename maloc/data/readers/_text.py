@@ -36,6 +36,7 @@ class Table:
     notes: tuple[Note, ...] = ()
     cut_last: bool = False  # the last line has no end and fewer fields than any other
     typed: bool = field(default=False)
+    head: int = 1  # line of the header
     _text: dict[int, pl.Series] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -49,9 +50,8 @@ class Table:
             return replace(self, notes=more)
         mask = pl.Series(keep)
         cells = tuple(c.filter(mask) for c in self.cells)
-        return Table(
-            self.file, self.columns, cells, self.line[keep], self.delimiter, more, cut, self.typed
-        )
+        line = self.line[keep]
+        return replace(self, cells=cells, line=line, notes=more, cut_last=cut, _text={})
 
     def error(
         self, problem: str, i: int | None = None, column: str | None = None, mend: str | None = None
@@ -178,9 +178,36 @@ def normal(name: str, data: bytes) -> tuple[bytes, list[Note]]:
     return (data.replace(BOM, b"") if BOM in data else data), notes
 
 
-def split_text(name: str, data: bytes, notes: list[Note]) -> Table:
-    """Return the table in normal text; see `split`."""
+def sections(name: str, data: bytes) -> list[Table]:
+    """Return the tables of a file into which exports with different headers were pasted.
+
+    A line that begins with the name of the first column, and is not the header again, begins
+    another one.
+    """
+    data, notes = normal(name, data)
     first, start, head = _header(name, data)
+    delimiter = max(DELIMITERS, key=head.count)
+    word = head.split(delimiter)[0]
+    again = b"\n" + (word + delimiter).encode()
+    cuts, at = [], data.find(again, start + 1) if word.strip() else -1
+    while at >= 0:
+        end = data.find(b"\n", at + 1)
+        line = data[at + 1 : len(data) if end < 0 else end].decode()
+        last = data[cuts[-1] :].split(b"\n", 1)[0].decode() if cuts else head
+        if line.rstrip() != last.rstrip():
+            cuts.append(at + 1)
+        at = data.find(again, at + 1)
+    out = []
+    for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True):
+        out.append(split_text(name, data[a:b], notes, data.count(b"\n", 0, a)))
+        notes = []
+    return out
+
+
+def split_text(name: str, data: bytes, notes: list[Note], above: int = 0) -> Table:
+    """Return the table in normal text, which has `above` lines above it; see `split`."""
+    first, start, head = _header(name, data)
+    first += above
     delimiter = max(DELIMITERS, key=lambda d: (head.count(d), -DELIMITERS.index(d)))
     if delimiter != ",":
         word = {";": "semicolon", "\t": "tab", "|": "bar"}[delimiter]
@@ -198,7 +225,8 @@ def split_text(name: str, data: bytes, notes: list[Note]) -> Table:
     names = tuple(
         h.strip().strip("\"'").strip() if i else h.strip() for i, h in enumerate(found.header)
     )
-    return Table(name, names, tuple(found.cells), found.line, delimiter, tuple(notes), found.cut)
+    cells = tuple(found.cells)
+    return Table(name, names, cells, found.line, delimiter, tuple(notes), found.cut, head=first + 1)
 
 
 def _header(name: str, data: bytes) -> tuple[int, int, str]:
@@ -263,3 +291,10 @@ def table_of(file: File) -> Table:
             raise InputError(f"broken Parquet file ({e})", file=name) from None
         return from_frame(name, df)
     return split(name, data)
+
+
+def tables_of(file: File) -> list[Table]:
+    """Return the table of a file, or the tables where several exports were pasted together."""
+    if file.data[:4] == b"PAR1":
+        return [table_of(file)]
+    return sections(*file)

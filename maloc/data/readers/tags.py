@@ -19,7 +19,7 @@ __all__ = ["matches", "read"]
 def matches(table: Table) -> bool:
     """Say whether a code, and something about it, can be found in the header."""
     roles = find(table.columns, TAG, set(TAG))
-    return "tag" in roles and bool({"animal", "min_delay", "sensor"} & roles.keys())
+    return "tag" in roles and bool({"animal", "min_delay", "sensor", "receiver"} & roles.keys())
 
 
 def read(table: Table) -> Tags:
@@ -68,6 +68,7 @@ def read(table: Table) -> Tags:
         numbers("max_delay"),
         times("start", OPEN_START),
         times("end", OPEN_END),
+        words("receiver"),
         report,
     )
 
