@@ -240,3 +240,16 @@ def test_sampling_from_the_guides_map(fixes_fit, fit):
         assert abs(a["mean"] - b["mean"]) < 5 * error
     with pytest.raises(TypeError, match="no start"):
         maloc.infer.nuts(KEY, theirs)
+
+
+def test_predicts_at_any_time(fit):
+    """At the states the guide's own moments, but for the draws' error; wider between them."""
+    clock = np.concatenate([[0.0], np.cumsum(np.asarray(fit.args[0]))])
+    found = fit.predict(np.concatenate([clock, 0.5 * (clock[1:] + clock[:-1])]))
+    mean, covariance = fit.moments()
+    sd = np.sqrt(np.einsum("tii->ti", covariance))
+    states = len(clock)
+    assert (np.abs(found.position[:states] - mean) < 5 * sd / np.sqrt(400)).all()
+    np.testing.assert_allclose(found.sd[:states], sd, rtol=0.2)  # five errors of an sd
+    wider = found.sd[states:] > np.minimum(found.sd[: states - 1], found.sd[1:states])
+    assert wider.all()
