@@ -55,7 +55,7 @@ def test_gps_scores_by_interpolation():
 
 @pytest.mark.slow
 def test_engine_against_plain_nuts(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["engine", "--pings", "12", "--draws", "40"])
+    monkeypatch.setattr(sys, "argv", ["engine", "--pings", "12", "--draws", "20"])
     engine.main()
     rows = [s for s in capsys.readouterr().out.splitlines() if s.startswith("maloc ")]
     assert len(rows) == 2 and all(s.endswith("x") for s in rows)

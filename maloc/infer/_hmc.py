@@ -96,7 +96,7 @@ def _nuts(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
     def settle(state, factor):
         step_size = min(float(state.adapt_state.step_size), _LONGEST)
         step_size = off_resonance(factor * step_size)
-        adapted = state.adapt_state._replace(step_size=jnp.asarray(step_size))
+        adapted = state.adapt_state._replace(step_size=np.asarray(step_size))
         return state._replace(adapt_state=adapted), step_size
 
     return Kernel(start, advance, settle)
@@ -121,7 +121,7 @@ class _HmcState(NamedTuple):
     white: jax.Array
     potential: jax.Array
     gradient: jax.Array
-    log_step: jax.Array
+    log_step: np.ndarray  # a NumPy scalar has one type, a JAX one two: compiled once
     log_steps: tuple[float, ...]
 
 
@@ -144,7 +144,7 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
 
     def start(key, m, args):
         place = many_begin if key.ndim else begin
-        return _HmcState(*place(key, m, args), jnp.log(0.25), ())
+        return _HmcState(*place(key, m, args), np.asarray(np.log(0.25)), ())
 
     @jax.jit
     def run(key, white, energy, gradient, log_step, m, args):
@@ -189,14 +189,15 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
         log_step, seen = state.log_step, state.log_steps
         if warming:
             rate = float(np.mean(chunk.accept))
-            log_step = log_step + 0.8 / (1 + 0.3 * len(seen)) * (rate - target_accept)
+            off = 0.8 / (1 + 0.3 * len(seen)) * (rate - target_accept)
+            log_step = np.asarray(float(log_step) + off)
             seen = (*seen, float(log_step))
             if len(seen) == warmup // CHUNK:
-                log_step = jnp.asarray(np.mean(seen[len(seen) // 2 :]))
+                log_step = np.asarray(np.mean(seen[len(seen) // 2 :]))
         return _HmcState(key, white, energy, gradient, log_step, seen), chunk
 
     def settle(state, factor):
-        log_step = jnp.minimum(state.log_step, np.log(_LONGEST)) + np.log(factor)
-        return state._replace(log_step=log_step), float(np.exp(log_step))
+        log_step = min(float(state.log_step), np.log(_LONGEST)) + np.log(factor)
+        return state._replace(log_step=np.asarray(log_step)), float(np.exp(log_step))
 
     return Kernel(start, advance, settle)

@@ -103,6 +103,16 @@ def test_linear_gaussian_posterior(fixes_fit, method, chains, together):
     np.testing.assert_allclose(rows["noise"]["ess_bulk"], ess_bulk(fit.u)[1])
 
 
+@pytest.mark.parametrize("method", ["nuts", "hmc"])
+def test_a_kernel_is_compiled_once(fixes_fit, method, caplog):
+    """Step sizes before, during and after warm-up are of one type."""
+    short = {"draws": 100, "warmup": 150, "method": method, "progress": False}
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        maloc.infer.nuts(jax.random.key(4), fixes_fit, **short)
+    said = [record.getMessage() for record in caplog.records]
+    assert sum(text.startswith("Compiling jit(run)") for text in said) == 1
+
+
 @pytest.mark.slow
 def test_three_samplers_agree():
     """NUTS and HMC of the engine, and NumPyro's NUTS on the bare model, on arrival times."""
@@ -110,13 +120,13 @@ def test_three_samplers_agree():
     start = maloc.infer.laplace(toa_track, times.to_model_data(pad=False), movement="rw")
     draws = {}
     for method in ("nuts", "hmc"):
-        fit = maloc.infer.nuts(jax.random.key(3), start, draws=1500, method=method, progress=False)
+        fit = maloc.infer.nuts(jax.random.key(3), start, draws=800, method=method, progress=False)
         assert fit.warnings == ()
         draws[method] = fit.draws()
     plain = MCMC(
         NUTS(toa_track, dense_mass=True),
-        num_warmup=500,
-        num_samples=1000,
+        num_warmup=400,
+        num_samples=600,
         num_chains=2,
         chain_method="sequential",
         progress_bar=False,

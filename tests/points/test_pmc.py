@@ -68,19 +68,18 @@ def test_deterministic_mixture_is_the_grid_posterior(law):
 
 def test_gaussian_errors_give_the_covariance_of_the_geometry_and_its_coverage():
     rng = np.random.default_rng(4)
-    receivers, xy = ring(7), rng.uniform(-150, 150, (150, 2))
-    toa = arrivals(receivers, xy, noise=rng.normal(0, 1.0, (150, 7)))
-    for method in ("pmc", "dm-pmc"):
-        points = locate(toa, method, error="gaussian", sigma=1.0)
-        expected = np.sqrt(np.diagonal(position_covariance(xy, receivers.xy), axis1=1, axis2=2))
-        ratio = points.sd / expected
-        assert np.median(ratio) == pytest.approx(1, abs=0.03)
-        assert (abs(ratio - 1) < 0.25).mean() > 0.95
-        np.testing.assert_allclose(points.position, points.extra["mean"], atol=0.1)
-        inside = (points.extra["lo"] <= xy) & (xy <= points.extra["hi"])
-        assert 0.91 < inside.mean() < 0.98
-        assert np.median(points.extra["ess"]) > 150
-        np.testing.assert_allclose(points.emission, 60.0 * np.arange(150), atol=4e-3)
+    receivers, xy = ring(8), rng.uniform(-150, 150, (200, 2))
+    toa = arrivals(receivers, xy, noise=rng.normal(0, 1.0, (200, 8)))
+    points = locate(toa, "pmc", error="gaussian", sigma=1.0)
+    expected = np.sqrt(np.diagonal(position_covariance(xy, receivers.xy), axis1=1, axis2=2))
+    ratio = points.sd / expected
+    assert np.median(ratio) == pytest.approx(1, abs=0.03)
+    assert (abs(ratio - 1) < 0.25).mean() > 0.95
+    np.testing.assert_allclose(points.position, points.extra["mean"], atol=0.1)
+    inside = (points.extra["lo"] <= xy) & (xy <= points.extra["hi"])
+    assert 0.91 < inside.mean() < 0.98
+    assert np.median(points.extra["ess"]) > 150
+    np.testing.assert_allclose(points.emission, 60.0 * np.arange(200), atol=4e-3)
 
 
 @pytest.mark.parametrize("beta", [32.0, 128.0])
@@ -125,7 +124,7 @@ def test_two_places_are_both_reported():
 
 def test_same_seed_same_answer_whatever_comes_after():
     rng = np.random.default_rng(7)
-    toa = arrivals(ring(5), rng.uniform(-100, 100, (6, 2)), noise=rng.normal(0, 1, (6, 5)))
+    toa = arrivals(ring(8), rng.uniform(-100, 100, (6, 2)), noise=rng.normal(0, 1, (6, 8)))
     same: dict[str, Any] = {"sigma": 1.0, "reflected": 0.1}
     one, two = locate(toa, "pmc", seed=1, **same), locate(toa, "pmc", seed=1, **same)
     np.testing.assert_array_equal(one.position, two.position)

@@ -75,16 +75,17 @@ def test_simulated_arrivals_follow_the_law():
 @pytest.mark.slow
 @pytest.mark.sbc
 def test_toa_track_smoke(capsys):
-    """Twenty fits say little: no p below 1e-4; stretched arrivals bring one."""
-    right = sbc.main(["--fits", "20", "--seed", "1", "--draws", "300"])
+    """Fourteen fits say little: no p below 1e-4; stretched arrivals bring one."""
+    asked = ["--fits", "14", "--seed", "1", "--draws", "150", "--method", "hmc"]
+    right = sbc.main(asked)
     table = capsys.readouterr().out
     assert "sigma_vel" in table
     assert "y[23]" in table
-    assert "20 fits" in table
+    assert "14 fits" in table
     smallest = float(table.split("smallest p ")[1].split()[0])
     assert smallest > 1e-4
     assert right == int(smallest <= 0.01)
-    wrong = sbc.main(["--fits", "20", "--seed", "1", "--draws", "300", "--bias", "1.1"])
+    wrong = sbc.main([*asked, "--bias", "1.1"])
     table = capsys.readouterr().out
     assert wrong == 1
     assert float(table.split("smallest p ")[1].split()[0]) < 1e-4
