@@ -127,6 +127,12 @@ def open_log(file: File) -> Log:
     ).to_series()  # fmt: skip
     kind = lines.str.extract(r'^[" ]*([^,"]*)').str.strip_chars().fill_null("")
     starts = (kind == MAGIC.decode()).arg_true().to_list()
+    if not starts:
+        raise InputError(
+            "a Fathom/VDAT log whose fields are not separated by commas (re-saved by Excel?)",
+            file=file.name,
+            mend="export it again",
+        )
     head = str(lines[starts[0]]).split(",")
     version = head[1].strip('" ') if len(head) > 1 else ""
     tables, strange = [], {}
