@@ -92,9 +92,9 @@ def _fast(data: bytes, first: int, delimiter: str, quoted: bool) -> Lines:
     except pl.exceptions.PolarsError:  # rows longer than the header, or something worse
         table = pl.read_csv(io.BytesIO(data), **how, truncate_ragged_lines=True)
         fields = _count(data, delimiter, quoted)
-    bare = _no_padding(data, delimiter)
+    bare = _no_padding(data, delimiter, table.to_series(0))
     cells = [_filled(c if bare else c.str.strip_chars()) for c in table.iter_columns()]
-    header = [c[0] for c in cells]
+    header = [c[0].strip() for c in cells]
     blank = cells[0] == ""
     if fields is None and (blank.any() or not data.endswith(b"\n") or len(header) == 1):
         fields = _count(data, delimiter, quoted)
@@ -116,10 +116,18 @@ def _fast(data: bytes, first: int, delimiter: str, quoted: bool) -> Lines:
     return Lines(header, cells, line, long, _cut(data.endswith(b"\n"), fields, n))
 
 
-def _no_padding(data: bytes, delimiter: str) -> bool:
-    """Whether no cell begins or ends with white space."""
+def _no_padding(data: bytes, delimiter: str, column: pl.Series) -> bool:
+    """Whether no cell below the header begins or ends with white space."""
     if not data.isascii():
         return False
+    if not any(mark in data for mark in (b"\t", b"\x0b", b"\x0c", b"\r")):
+        spaces, body = data.count(b" ", data.find(b"\n") + 1), column.slice(1)
+        if not spaces:
+            return True
+        # a date and time in the first column has one inside, and there are no others
+        inside = body.str.slice(10, 1) == " "
+        if spaces == len(body) and not body.null_count() and inside.all():
+            return bool((body.str.len_bytes() > 11).all())
     raw = np.frombuffer(data, np.uint8)
     space = np.flatnonzero((raw == ord(" ")) | ((raw < ord(" ")) & (raw != _NEWLINE)))
     edge = np.zeros(256, bool)
