@@ -1,5 +1,6 @@
 # make demo   set up, simulate an array, track a tag in it, compare with the truth
 # make test   set up, lint, types, then the whole test suite and the notebooks
+# make test-extended   the long tests that make test leaves out
 # Nothing but Python 3.11+ and make is needed beforehand; everything lands in .venv.
 
 VENV  := .venv
@@ -10,7 +11,7 @@ WORKERS ?= 2
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: install test lint pytest demo clean
+.PHONY: install test test-extended lint pytest demo clean
 .DELETE_ON_ERROR:
 
 install: $(STAMP)
@@ -40,8 +41,11 @@ lint: $(STAMP)
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
 pytest: $(STAMP)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal \
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not extended' \
 	  $(if $(NOTEBOOKS),--nbmake --nbmake-timeout=300) tests $(NOTEBOOKS)
+
+test-extended: $(STAMP)
+	$(BIN)/python -m pytest -n $(WORKERS) -m extended tests
 
 test: lint
 	@$(MAKE) --no-print-directory pytest

@@ -107,6 +107,8 @@ class TrackOptions:
             raise InputError("--toa is on one clock already", mend="leave --sync out")
         if self.model == "detections" and self.sound_speed is not None:
             raise InputError("--sound-speed says nothing to --model detections; leave it out")
+        if self.sound_speed == "drifting" and self.model != "joint":
+            raise InputError("--sound-speed drifting goes with --model joint")
         if self.method == "svi" and self.model == "toa":
             raise InputError("--method svi goes with --model detections or joint")
         if self.start == "pmc" and self.model == "detections":
@@ -142,7 +144,7 @@ class TrackOptions:
 
     def speed(self) -> float:
         """The sound speed given, m/s; NaN where none was, or where it is to be estimated."""
-        if self.sound_speed in (None, "estimated"):
+        if self.sound_speed in (None, "estimated", "drifting"):
             return nan
         try:
             speed = float(str(self.sound_speed))
@@ -151,7 +153,7 @@ class TrackOptions:
         if not 1300.0 <= speed <= 1700.0:
             raise InputError(
                 f"--sound-speed {self.sound_speed} is no speed of sound in water, 1300 to 1700 m/s",
-                mend="give m/s, or 'estimated'",
+                mend="give m/s, or 'estimated', or 'drifting' (--model joint)",
             )
         return speed
 

@@ -121,14 +121,10 @@ def run_track(
     """
     if options.sync == "beacons":
         raise InputError("--sync beacons goes with maloc points")
-    if options.model == "detections":
+    if options.model in ("detections", "joint"):
         from maloc._run_encounters import run_encounters
 
         return run_encounters(options, out, force=force, quiet=quiet)
-    if options.model == "joint":
-        from maloc._run_joint import run_joint
-
-        return run_joint(options, out, force=force, quiet=quiet)
     check_free(out, force)
     log = Log(quiet)
     with log.listening():

@@ -1,4 +1,4 @@
-"""What `maloc track --model detections` does, from options to a finished folder."""
+"""What `maloc track` does with encounter histories, from options to a finished folder."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def tables(fit: Any, history: EncounterHistory, options: TrackOptions, log: Log)
 def run_encounters(
     options: TrackOptions, out: Path, *, force: bool = False, quiet: bool = False
 ) -> list[str]:
-    """Do all of `maloc track --model detections`; nothing is written unless everything worked.
+    """Do all of `maloc track --model detections` or `joint`; written only if everything worked.
 
     Returns
     -------
@@ -128,9 +128,14 @@ def run_encounters(
     check_free(out, force)
     log = Log(quiet)
     with log.listening():
-        source = load_encounters(options, log)
-        log.release()
-        fitted = fit_tags(source.history, options, log)
+        if options.model == "joint":
+            from maloc._run_joint import fit_joint
+
+            fitted, source = fit_joint(options, log)
+        else:
+            source = load_encounters(options, log)
+            log.release()
+            fitted = fit_tags(source.history, options, log)
         with output_folder(out, force) as folder:
             from maloc._write_encounters import write_encounters
 

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from maloc._folder import check_free, output_folder
-from maloc._load import Source, TrackOptions, load
+from maloc._load import TrackOptions, load
 from maloc._load_encounters import Encounters
 from maloc._log import Log
-from maloc._run_encounters import FittedTags, lines, run_model, tables
+from maloc._run_encounters import FittedTags, run_model, tables
 from maloc.errors import InputError
 
-__all__ = ["fit_joint", "read_sequence", "run_joint"]
+__all__ = ["fit_joint", "read_sequence"]
 
 
 def read_sequence(path: Path) -> np.ndarray:
@@ -50,16 +49,18 @@ def read_sequence(path: Path) -> np.ndarray:
     return np.array(found)
 
 
-def fit_joint(source: Source, options: TrackOptions, log: Log) -> FittedTags:
-    """Fit all tags in the joint model.
+def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
+    """Read what is asked for, and fit all tags in the joint model.
 
     Raises
     ------
     InputError
-        If the schedule does not fit the detections.
+        Bad input, or the schedule does not fit the detections.
     FitError
         If the fit fails.
     """
+    source = load(options, log)
+    log.release()
     with log.stage("engine start"):  # JAX is imported here, and nowhere before
         from maloc import models
         from maloc.data import arrival_history
@@ -70,6 +71,7 @@ def fit_joint(source: Source, options: TrackOptions, log: Log) -> FittedTags:
         if source.sync is not None:
             clocks = [source.sync.clock_sd(toa) for toa in source.toas]
         history = arrival_history(source.toas, sequence=sequence, clock_sd=clocks)
+    asked = options.sound_speed
     how: dict[str, Any] = {
         "movement": options.movement,
         "arrivals": options.error,
@@ -77,7 +79,7 @@ def fit_joint(source: Source, options: TrackOptions, log: Log) -> FittedTags:
         "loss": options.loss and history.silence != "unknown",
         "dispersion": options.dispersion,
         "receiver_effects": options.receiver_effects,
-        "sound_speed": "estimated" if options.sound_speed == "estimated" else "auto",
+        "sound_speed": asked if asked in ("estimated", "drifting") else "auto",
         "positions": options.positions,
     }
     if history.silence == "unknown":
@@ -86,35 +88,5 @@ def fit_joint(source: Source, options: TrackOptions, log: Log) -> FittedTags:
     fitted = tables(fit, history.encounters, options, log)
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
     late = tuple(np.asarray(x, float)[states] for x in (fit.residuals(), fit.p_direct()))
-    return replace(fitted, late=late)
-
-
-def run_joint(
-    options: TrackOptions, out: Path, *, force: bool = False, quiet: bool = False
-) -> list[str]:
-    """Do all of `maloc track --model joint`; nothing is written unless everything worked.
-
-    Returns
-    -------
-    list of str
-        One line a tag: what was found.
-
-    Raises
-    ------
-    InputError
-        Bad input, or `out` is taken.
-    FitError
-        The fit failed.
-    """
-    check_free(out, force)
-    log = Log(quiet)
-    with log.listening():
-        source = load(options, log)
-        log.release()
-        fitted = fit_joint(source, options, log)
-        read = Encounters(fitted.history, source.receivers, source.detections)
-        with output_folder(out, force) as folder:
-            from maloc._write_encounters import write_encounters
-
-            write_encounters(folder, fitted, read, options, log)
-    return lines(fitted, read)
+    read = Encounters(fitted.history, source.receivers, source.detections)
+    return replace(fitted, late=late), read

@@ -273,7 +273,8 @@ def track(
         typer.Option(help="File of the tag's sequence of burst intervals, s (--model joint)."),
     ] = None,
     sound_speed: Annotated[
-        str | None, typer.Option(metavar="C|estimated", help="Sound speed, m/s.")
+        str | None,
+        typer.Option(metavar="C|estimated|drifting", help="Sound speed, m/s (drifting: joint)."),
     ] = None,
     method: Annotated[
         Literal["laplace", "nuts", "hmc", "svi"],

@@ -401,7 +401,7 @@ def test_the_command_in_small(tmp_path, capsys):
     assert capsys.readouterr().out == said
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 def test_silence_tells_where_nobody_heard():
     """Detection by distance: the joint model places pings that arrival times alone cannot."""
     design = CanalDesign(n_pings=40, p0=0.9, scale=30.0)

@@ -113,6 +113,8 @@ def test_a_sequence_needs_the_joint_model(tmp_path):
     write(tmp_path, 100 + 30.0 * np.arange(12))
     (tmp_path / "intervals.csv").write_text("30\n")
     files = ["--toa", tmp_path / "toa.csv", "--receivers", tmp_path / "receivers.csv"]
-    result = track(tmp_path / "out", *files, "--schedule", tmp_path / "intervals.csv")
-    assert result.exit_code == 2
-    assert "--schedule goes with --model joint" in result.stderr
+    for asked in (["--schedule", tmp_path / "intervals.csv"], ["--sound-speed", "drifting"]):
+        result = track(tmp_path / "out", *files, *asked)
+        assert result.exit_code == 2
+        assert f"{asked[0]}" in result.stderr
+        assert "goes with --model joint" in result.stderr

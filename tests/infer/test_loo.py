@@ -44,7 +44,10 @@ def fits():
     return {e: maloc.infer.laplace(toa_track, times, error=e) for e in ("gaussian", "ddetect")}
 
 
-@pytest.mark.parametrize(("error", "within"), [("gaussian", 0.1), ("ddetect", 0.3)])
+@pytest.mark.parametrize(
+    ("error", "within"),
+    [pytest.param("gaussian", 0.1, marks=pytest.mark.extended), ("ddetect", 0.3)],
+)
 def test_against_leaving_a_ping_out(fits, error, within):
     m = fits[error].marginal
     found = loo._at(fits[error].cm, fits[error].args, m.x, m.u)

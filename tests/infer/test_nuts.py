@@ -113,7 +113,7 @@ def test_a_kernel_is_compiled_once(fixes_fit, method, caplog):
     assert sum(text.startswith("Compiling jit(run)") for text in said) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 def test_three_samplers_agree():
     """NUTS and HMC of the engine, and NumPyro's NUTS on the bare model, on arrival times."""
     times, _, _ = cases.toa(seed=5, pings=7, n_receivers=6, p_heard=0.9, unheard=())

@@ -10,6 +10,8 @@ from maloc.infer._beat import _smooth, smooth_beat
 from maloc.infer._grid import grid_paths
 from tests.infer import cases
 
+EXTENDED = pytest.mark.extended
+
 
 def test_smoother_is_a_dense_gaussian_posterior():
     """Offsets of an integrated random walk with gaps, against the normal equations."""
@@ -112,7 +114,7 @@ def fits():
     return get
 
 
-@pytest.mark.parametrize("kind", ["stable", "random"])
+@pytest.mark.parametrize("kind", ["stable", pytest.param("random", marks=EXTENDED)])
 def test_joint_fit_of_a_schedule(fits, kind):
     """End to end: near the truth, emission times to some milliseconds."""
     toa, emission, position, fit = fits(kind)
@@ -129,6 +131,7 @@ def test_joint_fit_of_a_schedule(fits, kind):
         assert np.abs(sent - emission)[~heard].max() < 0.1
 
 
+@EXTENDED
 def test_svi_of_the_joint_model(fits):
     """SVI comes to the states of the Laplace fit: means and widths."""
     import maloc

@@ -129,6 +129,7 @@ def test_many_fixes_against_quadrature():
     np.testing.assert_allclose(x[0].std(0), wide, rtol=6 / np.sqrt(2 * 4000))
 
 
+@pytest.mark.extended
 def test_close_to_nuts_on_a_track(laplace_fit, sampled_fit):
     """Arrival times with reflections: means and widths of states and of parameters."""
     fit = maloc.infer.svi(KEY, laplace_fit, progress=False)
