@@ -52,11 +52,11 @@ def fit(
         frame, or the path of a CSV file) has columns time and sound_speed, or temperature,
         salinity and depth (see `maloc.medium.with_sound_speed`).
     reference : str, optional
-        Receiver whose clock becomes the common time. By default the one nearest to the middle of
-        all clocks: clocks were set one by one, so that the middle is the best guess of true
-        time. Sync tags compare clocks with each other and never with true time: choose the
-        receiver whose clock was right, or use `ClockSync.anchored`, when times must be compared
-        with, say, a GPS.
+        Receiver whose clock becomes the common time. By default one among those that agree best
+        (at the half-sample mode of all clocks halfway through the record): clocks that were set
+        right agree with each other, and wrong ones err each in its own way. Sync tags compare
+        clocks with each other and never with true time: name the receiver whose clock was right
+        if it is known, or use `ClockSync.anchored`, when times must be compared with, say, a GPS.
     knot_spacing : float
         Largest distance between knots of the clock curves, s.
     free_positions : float, or array (D,)
@@ -83,7 +83,8 @@ def fit(
     References
     ----------
     Baktoft et al. (2017), Scientific Reports 7:14294 (joint estimation of clocks and places from
-    sync tags); MacKay (1992), Neural Computation 4:415 (the update of the clock noise).
+    sync tags); Bickel & Fruehwirth (2006), Computational Statistics & Data Analysis 50:3500 (the
+    half-sample mode); MacKay (1992), Neural Computation 4:415 (the update of the clock noise).
     """
     p = prepare(
         detections, receivers, sound_speed=sound_speed, reference=reference,

@@ -268,15 +268,29 @@ def _curve(clock: CoarseClock) -> Curve:
     return Curve(time[order], offset[order], ends / (1 - ends))
 
 
-def _middle_clock(data: SyncData, clocks: dict[int, CoarseClock], curves: dict[int, Curve]) -> int:
-    """The clock nearest to the middle of all, of those that heard much and did not jump."""
+def _mode(values: np.ndarray) -> float:
+    """Half-sample mode (Bickel & Fruehwirth 2006): where values lie closest together."""
+    x = np.sort(values)
+    while len(x) > 3:
+        half = (len(x) + 1) // 2
+        i = int((x[half - 1 :] - x[: len(x) - half + 1]).argmin())
+        x = x[i : i + half]
+    if len(x) == 3 and x[1] - x[0] != x[2] - x[1]:
+        x = x[:2] if x[1] - x[0] < x[2] - x[1] else x[1:]
+    return float(x.mean())
+
+
+def _agreeing_clock(
+    data: SyncData, clocks: dict[int, CoarseClock], curves: dict[int, Curve]
+) -> int:
+    """The clock among those that agree best, of those that heard much and did not jump."""
     often = np.bincount(data.clock)
     at = np.array([np.median([np.median(c.time) for c in curves.values()])])
     value = {j: float(c.at(at)[0]) for j, c in curves.items()}
-    middle = np.median(list(value.values()))
+    mode = _mode(np.array(list(value.values())))
     enough = 0.5 * np.median([often[j] for j in curves])
     good = [j for j in curves if often[j] >= enough and not clocks[j].jumps] or list(curves)
-    return min(good, key=lambda j: (abs(value[j] - middle), j))
+    return min(good, key=lambda j: (abs(value[j] - mode), j))
 
 
 def group(data: SyncData, travel: np.ndarray, reference: int | None, n_clocks: int) -> Grouped:
@@ -288,7 +302,7 @@ def group(data: SyncData, travel: np.ndarray, reference: int | None, n_clocks: i
     travel : array (N,)
         Travel time, s.
     reference : int, optional
-        Clock that is to be the common time; the one nearest to the middle of all if not given.
+        Clock that is to be the common time; one of those that agree best if not given.
     n_clocks : int
     """
     emission = data.recorded - travel
@@ -306,8 +320,8 @@ def group(data: SyncData, travel: np.ndarray, reference: int | None, n_clocks: i
             why[rows], segment[rows] = USED, n
             common[rows] = data.recorded[rows] - stretch.at(emission[rows])
     if reference is None:
-        reference = _middle_clock(data, clocks, curves)
-        reason = "of all clocks it was nearest to their middle"
+        reference = _agreeing_clock(data, clocks, curves)
+        reason = "it is among the clocks that agree best, as clocks that are right do"
     else:
         reason = "asked for"
     if reference in curves:
