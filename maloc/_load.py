@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import nan
@@ -12,50 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from maloc._log import Log
+from maloc._reading import Reading, too_soon
 from maloc._refuse import check_usable, check_whole_seconds
 from maloc.data._time import NS
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
-    from maloc.data import ArrivalTimes, Detections, Receivers, Schedule, Tags
-    from maloc.data.readers._how import Clock
+    from maloc.data import ArrivalTimes, Detections, Receivers, Schedule
     from maloc.sync import ClockSync
 
-__all__ = ["Reading", "Source", "TrackOptions", "load", "sync_tags", "tags_to_fit", "too_soon"]
+__all__ = ["Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
 
 ROW = "row in the detections as read"  # extra column that survives the synchronisation
 ROUGHLY = 1.0  # s; how well clocks agree that were brought together by the animals' own pings
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What is said of the files of detections; see `maloc.read_detections`."""
-
-    format: str | None = None
-    tz: str | None = None
-    clock: Clock | None = None
-    tag_table: Path | None = None
-
-    def tags(self) -> Tags | None:
-        """The table of tags, where one was given."""
-        from maloc.data import read_tags
-
-        return None if self.tag_table is None else read_tags(self.tag_table)
-
-    def receivers(self, path: Path, crs: str | None) -> Receivers:
-        """Read the array, with the sync tags that the table of tags puts beside receivers."""
-        from maloc.data import read_receivers
-
-        found, tags = read_receivers(path, crs=crs), self.tags()
-        return found if tags is None else tags.beside(found)
-
-    def detections(self, files: Sequence[Path]) -> Detections:
-        """Read detections, by animal where there is a table of tags."""
-        from maloc.data import read_detections
-
-        found = read_detections(*files, format=self.format, tz=self.tz, clock=self.clock)
-        tags = self.tags()
-        return found if tags is None else tags.apply(found)
 
 
 @dataclass(frozen=True)
@@ -272,28 +240,6 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
     if not toas:
         raise InputError(f"none of {len(tags)} tags can be positioned", mend="name one with --tag")
     return Source(toas, receivers, detections, sync, skipped, beacons)
-
-
-def too_soon(options: TrackOptions, detections: Detections, tags: Sequence[str]) -> dict[int, str]:
-    """Rows of detections that follow another at their receiver sooner than the tag pings, and why.
-
-    The shortest interval is that of the command line, or else of the table of tags.
-    """
-    from maloc.data import prepare
-
-    schedule = options.schedule()
-    shortest, longest = schedule.shortest, 2 * schedule.mean - schedule.shortest
-    table = options.reading.tags()
-    limits = {}
-    for tag in tags:
-        known = (shortest, longest) if shortest > 0 else table and table.limits(tag)
-        if known:
-            limits[tag] = known
-    if not limits:
-        return {}
-    found = prepare(detections, limits=limits)
-    rows = np.flatnonzero(found.too_soon)
-    return dict(zip(rows.tolist(), found.why[rows].tolist(), strict=True))
 
 
 def _with_rows(

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc._load import ROW, TrackOptions, tags_to_fit, too_soon
+from maloc._load import ROW, TrackOptions, tags_to_fit
 from maloc._log import Log
+from maloc._reading import too_soon
 from maloc.data._time import NS
 from maloc.errors import InputError
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._folder import check_free, output_folder
-from maloc._load import Reading, TrackOptions, load
+from maloc._load import TrackOptions, load
 from maloc._log import Log
 from maloc._mirror import Line, mirror_line
+from maloc._reading import Reading
 from maloc.errors import InputError
 
 if TYPE_CHECKING:

@@ -201,7 +201,7 @@ def sync(
     Writes sync.nc, detections_synced.parquet, receivers_fitted.csv, residuals.csv, figures and
     summary.json.
     """
-    from maloc._load import Reading
+    from maloc._reading import Reading
     from maloc._run import run_sync
 
     reading = Reading(format, tz, clock, tag_table)
@@ -304,7 +304,8 @@ def track(
     summary.json; where missed pings are summed out (--model detections or joint, with an interval),
     missed.csv too. --model detections needs neither synchronised clocks nor fractions of a second.
     """
-    from maloc._load import Reading, TrackOptions
+    from maloc._load import TrackOptions
+    from maloc._reading import Reading
     from maloc._run import run_track
 
     options = TrackOptions(
@@ -528,8 +529,9 @@ def points(
 
     Writes points.csv, arrivals.csv, map.png, summary.json.
     """
-    from maloc._load import Reading, TrackOptions
+    from maloc._load import TrackOptions
     from maloc._points_run import PointsOptions, run_points
+    from maloc._reading import Reading
 
     source = TrackOptions(
         detections=tuple(detections or ()),

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maloc._load import Reading, TrackOptions, load
+from maloc._load import TrackOptions, load
 from maloc._log import Log
+from maloc._reading import Reading
 from maloc.errors import InputError
 
 NS = 1_000_000_000
