@@ -111,11 +111,11 @@ def test_a_boat_from_the_raw_export_against_its_gps(shared_dir, tmp_path):
     assert np.median(error[heard]) <= 3.5
     assert np.quantile(error[heard], 0.95) <= 6.4
     assert error[inside].mean() <= 3.7
-    # 95 % ellipses, the GPS's own 3 m an axis added
+    # 95 % ellipses, the GPS's own 3 m an axis added: at most that, so they may hold more
     xx, yy = (found[f"sd_{a}"].to_numpy() ** 2 + 3.0**2 for a in "xy")
     xy, (ex, ey) = found["cov_xy"].to_numpy(), (o.to_numpy() for o in off)
     distance = (yy * ex**2 - 2 * xy * ex * ey + xx * ey**2) / (xx * yy - xy**2)
-    assert 0.93 <= (distance < 5.991)[heard].mean() <= 0.99
+    assert (distance < 5.991)[heard].mean() >= 0.93
     arrivals = pl.read_csv(tmp_path / "out" / "arrivals.csv")
     assert len(arrivals) == 2118  # every detection of the tag, used or set aside
     np.testing.assert_allclose(found["longitude"], -80.74, atol=0.01)
