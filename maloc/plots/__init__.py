@@ -19,6 +19,9 @@ __all__ = [
     "points",
     "residuals",
     "spread",
+    "sync_latency",
+    "sync_map",
+    "sync_matrix",
     "sync_residuals",
     "trace",
     "track",
@@ -38,6 +41,9 @@ _HOME = {
     "points": "_points",
     "residuals": "_residuals",
     "spread": "_diagnostics",
+    "sync_latency": "_sync_links",
+    "sync_map": "_sync_links",
+    "sync_matrix": "_sync_links",
     "sync_residuals": "_sync",
     "trace": "_diagnostics",
     "track": "_track",
@@ -58,6 +64,7 @@ if TYPE_CHECKING:
     from maloc.plots._points import points
     from maloc.plots._residuals import paths, residuals
     from maloc.plots._sync import clocks, sync_residuals
+    from maloc.plots._sync_links import sync_latency, sync_map, sync_matrix
     from maloc.plots._track import track
 else:
 

@@ -1,11 +1,32 @@
 """Clock synchronisation: raw receiver clocks to one common time, by sync tags.
 
 `fit` makes a `ClockSync`; its ``apply`` puts detections on the common clock. `rough` does with the
-animals' own tags, to about a second.
+animals' own tags, to about a second. `connectivity`, `latency` and `find_sync_order` show how an
+array hangs together.
 """
 
 from maloc.sync._fit import fit
 from maloc.sync._rough import rough
 from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
+from maloc.sync.connect import (
+    Connectivity,
+    SyncOrder,
+    connectivity,
+    find_sync_order,
+    latency,
+    sync_pair,
+)
 
-__all__ = ["ClockJumps", "ClockSync", "SyncResiduals", "fit", "rough"]
+__all__ = [
+    "ClockJumps",
+    "ClockSync",
+    "Connectivity",
+    "SyncOrder",
+    "SyncResiduals",
+    "connectivity",
+    "find_sync_order",
+    "fit",
+    "latency",
+    "rough",
+    "sync_pair",
+]

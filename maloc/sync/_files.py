@@ -165,6 +165,8 @@ def write(sync: ClockSync, folder: str | Path, detections: Detections | None) ->
     from matplotlib.figure import Figure
 
     from maloc.plots import _sync as figures
+    from maloc.plots._sync_links import sync_matrix
+    from maloc.sync.connect import connectivity
 
     folder = Path(folder)
     to_netcdf(sync, folder / "sync.nc")
@@ -181,7 +183,14 @@ def write(sync: ClockSync, folder: str | Path, detections: Detections | None) ->
     if detections is not None:
         paths.append(folder / "detections_synced.parquet")
         sync.apply(detections).to_frame().write_parquet(paths[-1])
-    for name, draw in (("residuals.png", figures.sync_residuals), ("clocks.png", figures.clocks)):
+    drawn: list[tuple[str, Any]] = [
+        ("residuals.png", figures.sync_residuals),
+        ("clocks.png", figures.clocks),
+    ]
+    if detections is not None:
+        found = connectivity(detections, sync.receivers)
+        drawn.append(("connectivity.png", lambda _, ax: sync_matrix(found, ax=ax)))
+    for name, draw in drawn:
         figure = Figure(figsize=(9.0, 4.5))  # no pyplot: nothing global, no window
         draw(sync, figure.subplots())
         paths.append(folder / name)

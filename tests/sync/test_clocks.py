@@ -100,6 +100,7 @@ def test_write_makes_every_file_of_the_command(fitted, tmp_path):
         "jumps.csv",
         "residuals.png",
         "clocks.png",
+        "connectivity.png",
     }
     synced = Detections.from_frame(pl.read_parquet(tmp_path / "detections_synced.parquet"))
     np.testing.assert_array_equal(synced.time, fitted.apply(TRUTH.detections).time)
