@@ -64,7 +64,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pings", type=int, default=48)
-    parser.add_argument("--draws", type=int, default=200, help="of the plain sampler; five times as many of ours")
+    parser.add_argument("--draws", type=int, default=200, help="plain; ours: 5 x")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     toa, _ = canal_toa(np.random.default_rng(given.seed), n_pings=given.pings)
