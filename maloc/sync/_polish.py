@@ -69,14 +69,7 @@ def polish(
     curve = curve.copy()
     lines = [np.zeros(2)] * len(rows)
     for _ in range(ROUNDS):
-        flat = whole - lead(rows, jumps, len(whole))
-        emission = _jumps.backfit(flat - curve, ping, clock)
-        offset = flat - emission[ping]
-        for _ in range(2):  # before and after what all share is taken off
-            for j, mine in enumerate(rows):
-                if len(mine):
-                    nodes[j], lines[j] = _nodes(time[mine], offset[mine])
-            offset = offset - _shared(nodes, lines, time)
+        offset = _offsets(whole, ping, clock, curve, time, rows, jumps, nodes, lines)
         candidates = []
         for j, mine in enumerate(rows):
             if not len(mine):
@@ -95,7 +88,32 @@ def polish(
         if not new:
             break
         jumps = joined(jumps + [jump for _, jump in new])
+    # dating may have undone a jump at an end: curves as the jumps that are left want them
+    _offsets(whole, ping, clock, curve, time, rows, jumps, nodes, lines)
     return Polished(jumps, nodes)
+
+
+def _offsets(
+    whole: np.ndarray,
+    ping: np.ndarray,
+    clock: np.ndarray,
+    curve: np.ndarray,
+    time: np.ndarray,
+    rows: list[np.ndarray],
+    jumps: list[Jump],
+    nodes: list[tuple[np.ndarray, np.ndarray] | None],
+    lines: list[np.ndarray],
+) -> np.ndarray:
+    """Offset that each arrival shows, jumps taken out (N,); writes nodes and straight lines."""
+    flat = whole - lead(rows, jumps, len(whole))
+    emission = _jumps.backfit(flat - curve, ping, clock)
+    offset = flat - emission[ping]
+    for _ in range(2):  # before and after what all share is taken off
+        for j, mine in enumerate(rows):
+            if len(mine):
+                nodes[j], lines[j] = _nodes(time[mine], offset[mine])
+        offset = offset - _shared(nodes, lines, time)
+    return offset
 
 
 def lead(rows: list[np.ndarray], jumps: list[Jump], n: int) -> np.ndarray:

@@ -19,6 +19,7 @@ LEAST = 0.004  # smallest jump, s
 SURE = 5.0  # a jump is this many times as large as its standard error
 PENALTY = 12.0  # log likelihood that a jump must bring
 EITHER_SIDE = 5  # direct arrivals that a jump needs: fewer may as well be late
+RUN = 15  # arrivals of which most must fit
 ROUNDS = 6
 
 
@@ -82,6 +83,11 @@ def fit_with_jumps(
         part = part._replace(ping=np.unique(part.ping, return_inverse=True)[1])
         start = solve(part, geometry, start, grid, reference, varying=varying).end
     fitted = solve(a, geometry, start, grid, reference, varying=varying)
+    if _lost(rows, fitted):
+        # a curve left its arrivals while its noise was not known yet: once more, knowing it
+        known = Start(state, table, reflected=fitted.reflected, intensity=fitted.end.intensity)
+        again = solve(a, geometry, known, grid, reference, varying=varying)
+        fitted = max(fitted, again, key=_worth)
     add = True
     for _ in range(ROUNDS):
         revised, changed = _revise(a, rows, fitted, jumps, add=add)
@@ -97,6 +103,15 @@ def fit_with_jumps(
         else:
             break
     return a, fitted, _dated(rows, fitted, jumps, _apart(a, fitted))
+
+
+def _lost(rows: list[np.ndarray], fitted: Solution) -> bool:
+    """Whether hardly an arrival of a run at some receiver fits."""
+    for mine in rows:
+        off = fitted.p_direct[mine] < 0.5
+        if len(mine) >= RUN and np.convolve(off, np.ones(RUN), "valid").max() >= 0.8 * RUN:
+            return True
+    return False
 
 
 def _worth(fitted: Solution) -> float:
