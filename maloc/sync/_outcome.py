@@ -9,6 +9,7 @@ import numpy as np
 
 from maloc.data import Note
 from maloc.sync import _arrivals, _blocks
+from maloc.sync._locate import TWICE, UNSURE, locate
 from maloc.sync._model import Solution
 from maloc.sync._prepare import ECHO, JUMPED
 from maloc.sync._search import Dated
@@ -41,10 +42,6 @@ def outcome(
     residual[rest] = residuals_of_the_rest(p, fitted, rest)
     doubtful = used[direct[used] < 0.5]
     why[doubtful] = np.where(residual[doubtful] > 0, LATE, WILD)
-    for j, low, high in zip(dated.jumps.clock, dated.low, dated.high, strict=True):
-        open_ = (data.clock[used] == j) & (low < fitted.common) & (fitted.common < high)
-        open_ &= direct[used] < 0.5
-        why[used[open_]], offset[used[open_]] = JUMPED, np.nan
     bad, more = unfit(data.clock[used], direct[used], ref, names)
     good = np.isin(np.arange(len(names)), data.clock[used]) & ~bad
     state, spacing = fitted.end.state, p.grid.spacing
@@ -102,7 +99,21 @@ def outcome(
         jump_draws=jump_draws,
         notes=p.notes + tuple(more),
     )
+    sync = dataclasses.replace(sync, residuals=_decided(sync))
     return dataclasses.replace(sync, notes=sync.notes + tuple(_remarks(sync, fitted, p)))
+
+
+def _decided(sync: ClockSync) -> SyncResiduals:
+    """Residuals, without offsets of late or wild arrivals that a jump leaves open when they were.
+
+    A direct arrival shows by itself on which side of a jump it lies.
+    """
+    r = sync.residuals
+    status = locate(sync, r.receiver, r.time).status
+    open_ = np.isin(r.why, [LATE, WILD]) & np.isin(status, [UNSURE, TWICE])
+    why = r.why.copy()
+    why[open_] = JUMPED
+    return dataclasses.replace(r, offset=np.where(open_, np.nan, r.offset), why=why)
 
 
 def _covariance(
