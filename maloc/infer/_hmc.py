@@ -144,7 +144,8 @@ def _jittered(cm: ChainModel, warmup: int, target_accept: float) -> Kernel:
 
     def start(key, m, args):
         place = many_begin if key.ndim else begin
-        return _HmcState(*place(key, m, args), np.asarray(np.log(0.25)), ())
+        key, white, energy, gradient = place(key, m, args)
+        return _HmcState(key, white, energy, gradient, np.asarray(np.log(0.25)), ())
 
     @jax.jit
     def run(key, white, energy, gradient, log_step, m, args):
