@@ -126,7 +126,7 @@ def _covariance(
     step, layout = fitted.step, fitted.layout
     n_knots = len(step.knots)
     number = {int(c): i for i, c in enumerate(layout.free)}
-    _, columns, _, _ = layout.parts
+    columns = slice(layout.parts[1].start, layout.parts[2].stop)  # jumps, then constants
     border = step.border_cov[columns, columns]
     middle = 0.5 * (dated.before + dated.after)
     at = np.clip(((middle - first) / spacing).astype(int), 0, n_knots - 2)
@@ -148,6 +148,8 @@ def _covariance(
                 mixed[:, :2] = step.cov_border[rows, i, columns]
                 mixed[:, 2:] = step.cov_border[rows + 1, i, columns]
             past = np.isin(np.arange(len(border)), own[:n]).astype(float)
+            if layout.held and j in number:
+                past[len(dated.jumps.clock) + number[j]] = 1.0
             both = (mixed @ past)[:, :, None] * level
             cov += both + both.swapaxes(1, 2) + (past @ border @ past) * np.outer(level, level)
             out.append(cov)
@@ -164,6 +166,8 @@ def _draws(fitted: Solution, seed: int) -> tuple[np.ndarray, np.ndarray]:
     knots = (knots - step.through @ border)[:, : 2 * len(layout.free)]
     state = np.repeat(fitted.end.state[None], DRAWS, axis=0)
     state[:, :, layout.free] += knots.transpose(2, 0, 1).reshape(DRAWS, n_knots, -1, 2)
+    if layout.held:
+        state[:, :, layout.free, 0] += border[layout.parts[2]].T[:, None]
     jumps = fitted.end.jumps.size + border[layout.parts[1]].T
     return state, jumps
 
