@@ -47,6 +47,7 @@ class TrackOptions:
     interval: tuple[float, float] | None = None
     interval_stable: tuple[float, float] | None = None
     schedule_file: Path | None = None
+    water: Path | None = None
     sound_speed: str | None = None
     method: str = "laplace"
     start: str = "annealed"
@@ -67,6 +68,8 @@ class TrackOptions:
             raise InputError("--interval, --interval-stable and --schedule exclude one another")
         if self.schedule_file is not None and self.model != "joint":
             raise InputError("--schedule goes with --model joint only")
+        if self.water is not None and self.model == "detections":
+            raise InputError("--water goes with --model toa or joint")
         if self.draws < 1:
             raise InputError(f"--draws must be at least 1, got {self.draws}")
         if self.chains < 2:
@@ -160,6 +163,16 @@ def load(options: TrackOptions, log: Log) -> Source:
     if options.toa is not None:
         return _load_toa(options, receivers, log)
     return _load_detections(options, receivers, log)
+
+
+def read_shore(options: TrackOptions, receivers: Receivers, log: Log) -> tuple:
+    """One `maloc.habitat.Water` where --water names a file, else nothing."""
+    if options.water is None:
+        return ()
+    from maloc.data.water import read_water
+
+    with log.stage("water"):
+        return (read_water(options.water, receivers),)
 
 
 def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._folder import check_free, output_folder
-from maloc._load import TrackOptions, load
+from maloc._load import TrackOptions, load, read_shore
 from maloc._log import Log
 from maloc._mirror import Line, mirror_line
 from maloc._reading import Reading
@@ -35,7 +35,9 @@ class Fitted:
     line: Line | None = None
 
 
-def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log: Log) -> Fitted:
+def fit_tag(
+    toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log: Log, water: tuple = ()
+) -> Fitted:
     """Fit one tag's track.
 
     Parameters
@@ -48,6 +50,8 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
         As given, to see whether they stand on one line.
     log : Log
         Takes warnings and seconds.
+    water : tuple
+        One `maloc.habitat.Water`, or none.
 
     Raises
     ------
@@ -74,7 +78,7 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
     with log.stage("fit"):
         if options.method == "laplace":
             fit = infer.laplace(
-                models.toa_track, toa, draws=options.draws, seed=options.seed, **how
+                models.toa_track, toa, *water, draws=options.draws, seed=options.seed, **how
             )
         else:
             from maloc._jax import jax
@@ -83,6 +87,7 @@ def fit_tag(toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, log:
                 jax.random.key(options.seed),
                 models.toa_track,
                 toa,
+                *water,
                 method=options.method,
                 chains=options.chains,
                 draws=options.draws,
@@ -130,8 +135,9 @@ def run_track(
     log = Log(quiet)
     with log.listening():
         source = load(options, log)
+        water = read_shore(options, source.receivers, log)
         log.release()
-        fitted = [fit_tag(toa, options, source.receivers, log) for toa in source.toas]
+        fitted = [fit_tag(toa, options, source.receivers, log, water) for toa in source.toas]
         with output_folder(out, force) as folder:
             from maloc._write import write_track
 

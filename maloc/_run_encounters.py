@@ -58,26 +58,26 @@ def fit_tags(history: EncounterHistory, options: TrackOptions, log: Log) -> Fitt
         "dispersion": options.dispersion,
         "receiver_effects": options.receiver_effects,
     }
-    return tables(run_model(model, history, how, options, log), history, options, log)
+    return tables(run_model(model, (history,), how, options, log), history, options, log)
 
 
-def run_model(model: Any, history: Any, how: dict[str, Any], options: TrackOptions, log: Log):
-    """Fit a model by the method asked for."""
+def run_model(model: Any, data: tuple, how: dict[str, Any], options: TrackOptions, log: Log):
+    """Fit a model of some data by the method asked for."""
     from maloc import infer
 
     with log.stage("fit"):
         if options.method == "laplace":
-            fit = infer.laplace(model, history, draws=options.draws, seed=options.seed, **how)
+            fit = infer.laplace(model, *data, draws=options.draws, seed=options.seed, **how)
         else:
             from maloc._jax import jax
 
             key, quiet = jax.random.key(options.seed), log.quiet
             if options.method == "svi":
                 how |= {"draws": options.draws, "seed": options.seed, "progress": not quiet}
-                fit = infer.svi(key, model, history, **how)
+                fit = infer.svi(key, model, *data, **how)
             else:
                 how |= {"draws": options.draws, "chains": options.chains, "progress": not quiet}
-                fit = infer.nuts(key, model, history, method=options.method, **how)
+                fit = infer.nuts(key, model, *data, method=options.method, **how)
     for name, spent in fit.seconds.items():
         log.seconds.add(f"fit: {name}", spent["wall"], spent["cpu"])
     for text in fit.warnings:

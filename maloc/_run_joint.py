@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc._load import TrackOptions, load
+from maloc._load import TrackOptions, load, read_shore
 from maloc._load_encounters import Encounters
 from maloc._log import Log
 from maloc._run_encounters import FittedTags, run_model, tables
@@ -60,6 +60,7 @@ def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
         If the fit fails.
     """
     source = load(options, log)
+    water = read_shore(options, source.receivers, log)
     log.release()
     with log.stage("engine start"):  # JAX is imported here, and nowhere before
         from maloc import models
@@ -84,7 +85,7 @@ def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
     }
     if history.silence == "unknown":
         log.notice("no burst interval is known: pings that nobody heard are not counted")
-    fit = run_model(models.joint, history, how, options, log)
+    fit = run_model(models.joint, (history, *water), how, options, log)
     fitted = tables(fit, history.encounters, options, log)
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
     late = tuple(np.asarray(x, float)[states] for x in (fit.residuals(), fit.p_direct()))

@@ -272,6 +272,12 @@ def track(
         Path | None,
         typer.Option(help="File of the tag's sequence of burst intervals, s (--model joint)."),
     ] = None,
+    water: Annotated[
+        Path | None,
+        typer.Option(
+            help="GeoJSON of the water: animals are not on land (not --model detections)."
+        ),
+    ] = None,
     sound_speed: Annotated[
         str | None,
         typer.Option(metavar="C|estimated|drifting", help="Sound speed, m/s (drifting: joint)."),
@@ -326,6 +332,7 @@ def track(
         interval=interval,
         interval_stable=interval_stable,
         schedule_file=schedule,
+        water=water,
         sound_speed=sound_speed,
         method=method,
         start=start,

@@ -124,6 +124,7 @@ def _read(file: Path) -> list[StoredTrack]:
     clock = np.broadcast_to(_time(law["time"]), track.shape[:2])
     if told.any():
         clock = np.where(told, _flat(posterior["emission_time"].values), clock)
+    water = _stored_water(file)
     names = np.atleast_1d(about.get("tags", [""])).tolist()
     origin = int(about["origin"]) if "origin" in about else None
     out = []
@@ -131,10 +132,24 @@ def _read(file: Path) -> list[StoredTrack]:
         mine = np.flatnonzero(law["tag"].values == k)
         scale = {name: _flat(law[name].values)[:, k] for name in kind.scale_names}
         home = _flat(law["centre"].values)[:, k] if "centre" in law else None
-        path = PathDraws(kind, scale, in_order(clock[:, mine]), state[:, mine], home)
+        path = PathDraws(kind, scale, in_order(clock[:, mine]), state[:, mine], home, water)
         name = str(names[k]) if k < len(names) else str(k)
         out.append(StoredTrack(name, path, posterior.attrs["method"], origin, about.get("crs")))
     return out
+
+
+def _stored_water(file: Path):
+    """What kept the animals off the land, or None."""
+    import xarray as xr
+
+    try:
+        with xr.open_dataset(file, group="water", engine="h5netcdf") as found:
+            parts = {name: np.asarray(value.values) for name, value in found.items()}
+    except (OSError, ValueError, KeyError):
+        return None
+    from maloc.habitat import Water
+
+    return Water(**parts)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

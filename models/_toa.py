@@ -16,6 +16,7 @@ __all__ = [
     "UNITS",
     "arrivals",
     "emission",
+    "in_water",
     "beat",
     "path",
     "refuse_unknown",
@@ -27,6 +28,7 @@ UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s"}
 UNITS |= {"interval_sd": "s", "sound_speed": "m/s", "home": "m", "home_sd": "m", "home_t05": "s"}
 _OFF = 0.02  # relative sd of a tag's own interval about the stated one
 _JITTER = 0.2  # ms; how well a tag keeps its beat from one ping to the next
+_INLAND = 3.0  # how far a path strays inland, in widths of the shore
 _EDGE = 0.02  # s; width of the soft edges of a random interval
 
 
@@ -52,6 +54,15 @@ def path(data, movement: str, tag=None, n_tags: int = 1):
     sigma_step = numpyro.sample("sigma_step", dist.LogNormal(0.0, 1.5))
     law = Brownian(data.dt, sigma_step, data.centre, data.spread, tag=tag)
     return numpyro.sample("track", law)
+
+
+def in_water(position, water):
+    """Positions off the land; a path that goes inland is held back by the factor ``shore``."""
+    if water is None:
+        return position
+    inland = -water.distance(position) / (_INLAND * water.soft)
+    numpyro.factor("shore", jax.nn.log_sigmoid(3.0 - inland))
+    return water.off_land(position)
 
 
 def emission(data):

@@ -18,6 +18,7 @@ UNITS |= {"range_memory": "s", "sound_speed_memory": "s"}
 
 def joint(
     history,
+    water=None,
     *,
     movement="ctcrw",
     arrivals="ddetect",
@@ -36,6 +37,8 @@ def joint(
     ----------
     history : ArrivalTimes, ArrivalHistory or JointData
         Arrival times and encounters of one tag or several, see `maloc.arrival_history`.
+    water : maloc.habitat.Water, optional
+        Keeps animals off the land, see `toa_track`; not where ``arrivals`` is None.
     movement : {"ctcrw", "rw", "ou"}
         Continuous-time correlated random walk, Brownian motion, or a home range (each tag its own).
     arrivals : {"ddetect", "gaussian", "student", None}
@@ -85,6 +88,7 @@ def joint(
         position = _parts.track(data.encounters, movement, False)
     else:
         position = _toa.path(data, movement, data.tag, data.encounters.n_tags)
+        position = _toa.in_water(position, water)
         numpyro.deterministic("position", position)
         emission = _toa.emission(data)
         ratio = _toa.speed_ratio(data, sound_speed)

@@ -21,13 +21,16 @@ __all__ = ["UNITS", "toa_track"]
 UNITS = _toa.UNITS
 
 
-def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
+def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
     """Joint density of track, emission times and parameters given arrival times.
 
     Parameters
     ----------
     toa : ArrivalTimes or ToaData
         Arrival times of one tag.
+    water : maloc.habitat.Water, optional
+        Keeps the animal off the land: ``position`` is ``track`` moved to the shore where it is
+        inland.
     movement : {"ctcrw", "rw", "ou"}
         Continuous-time correlated random walk, Brownian motion, or Ornstein-Uhlenbeck motion around
         a home: sites ``home`` (m), ``home_sd`` (m), ``home_t05`` (s).
@@ -54,7 +57,7 @@ def toa_track(toa, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
         sound_speed=(sound_speed, ("auto", "given", "estimated")),
     )
     data = as_toa_data(toa)
-    position = _toa.path(data, movement)
+    position = _toa.in_water(_toa.path(data, movement), water)
     emission = _toa.emission(data)
     ratio = _toa.speed_ratio(data, sound_speed)
     time = data.time + emission / (data.speed * ratio)

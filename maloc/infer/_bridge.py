@@ -38,6 +38,8 @@ class PathDraws(NamedTuple):
         Positions (m), and velocities (m/s) where the law has them.
     home : (D, A) array, optional
         What positions are pulled to (m), where the law knows it.
+    water : Water, optional
+        Positions are what it makes of the path's: off the land.
     """
 
     law: Any
@@ -45,12 +47,13 @@ class PathDraws(NamedTuple):
     clock: np.ndarray
     state: np.ndarray
     home: np.ndarray | None = None
+    water: Any = None
 
     def take(self, which) -> PathDraws:
         """Some of the draws."""
         scale = {k: v[which] for k, v in self.scale.items()}
         home = None if self.home is None else self.home[which]
-        return PathDraws(self.law, scale, self.clock[which], self.state[which], home)
+        return PathDraws(self.law, scale, self.clock[which], self.state[which], home, self.water)
 
 
 class Between(NamedTuple):
@@ -122,8 +125,10 @@ def draw(rng: np.random.Generator, path: PathDraws, times: np.ndarray) -> np.nda
     (D, n, order, A) array
         m and m/s.
     """
-    out = [_draw(rng, path.take(part), times[part]) for part in parts(*times.shape)]
-    return np.concatenate(out)
+    out = np.concatenate([_draw(rng, path.take(part), times[part]) for part in parts(*times.shape)])
+    if path.water is not None:
+        out[:, :, 0] = path.water.off_land(out[:, :, 0])
+    return out
 
 
 def parts(draws: int, times: int) -> Iterator[slice]:

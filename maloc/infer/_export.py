@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -140,6 +141,8 @@ def to_datatree(fit: Fit):
     groups = {f"/{name}": group for name, group in _groups(fit).items()}
     if (movement := _movement(fit)) is not None:
         groups["/movement"] = movement
+    if fit.water is not None:
+        groups["/water"] = _water(fit.water)
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs={"creator": "maloc"}), **groups})
 
 
@@ -171,6 +174,15 @@ def _movement(fit: Fit):
             dims = ("chain", "draw", "which", "axis")[: value.ndim + 1]
             variables[name] = (dims, value.reshape(*lead, *value.shape[1:]))
     return xr.Dataset(variables, attrs={"law": site.law.__name__, "path": site.name})
+
+
+def _water(water):
+    """The distance to the shore that a prediction needs, too."""
+    import xarray as xr
+
+    dims = {"field": ("part", "row", "column"), "origin": ("axis",)}
+    parts = dataclasses.asdict(water)
+    return xr.Dataset({k: (dims.get(k, ()), np.asarray(v)) for k, v in parts.items()})
 
 
 def write_posterior(

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Counted", "count_missed", "flat_draws", "missed_table", "track_table"]
 
-_Z95 = 1.959963984540054
 _DRAWS = 200  # of the path, for what is drawn or averaged over it
 _MOST = 60  # more missed pings in one gap than this are counted, not placed
 _FEW = 5  # draws with the most probable count that place its pings
@@ -215,16 +214,7 @@ def _columns(tag, t, position, covariance, low, high, n_receivers) -> dict[str, 
 def _known(fit: Fit, history: EncounterHistory) -> dict[str, np.ndarray]:
     """Rows of the pings that are rows of the history, from the posterior's moments."""
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
-    mean, covariance = (part[states] for part in fit.moments())
-    site = next(s for s in fit.cm.chain if s.name == "track")
-    xy = [site.columns.start, site.columns.start + 1]
-    position, covariance = mean[:, xy], covariance[:, xy][:, :, xy]
-    if fit.method == "laplace":
-        half = _Z95 * np.sqrt(np.einsum("tii->ti", covariance))
-        low, high = position - half, position + half
-    else:
-        flat = fit.draws()["position"].reshape(-1, fit.n_states, 2)[:, states]
-        low, high = np.quantile(flat, [0.025, 0.975], axis=0)
+    position, covariance, low, high = (part[states] for part in fit.positions())
     time = _sent(fit, history, states)
     return _columns(history.tag, time, position, covariance, low, high, history.n_heard)
 

@@ -122,7 +122,7 @@ def predict(fit: Fit, times, tag: int = 0) -> Prediction:
     Prediction
         Of a Laplace fit: the states' normal law carried through the bridge, the parameters'
         uncertainty to first order; at a state it is what ``fit.moments()`` says. Of any other fit:
-        the mixture of the bridges of 400 draws or fewer.
+        the mixture of the bridges of 400 draws or fewer; so with water, too.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def predict(fit: Fit, times, tag: int = 0) -> Prediction:
     the first state the path runs backward as it runs forward after the last.
     """
     times = _checked(times)
-    if fit.method == "laplace":
+    if fit.method == "laplace" and fit.water is None:
         return _laplace(fit, times, tag)  # pyright: ignore[reportArgumentType]
     path = path_draws(fit, tag)
     keep = np.linspace(0, len(path.clock) - 1, min(len(path.clock), _DRAWS)).astype(int)
@@ -186,8 +186,13 @@ def drawn(path: PathDraws, times: np.ndarray, n: int, seed: int, **known: Any) -
     return TrackDraws(times, state[:, :, 0], velocity, **known)
 
 
-def mixture(path: PathDraws, times: np.ndarray) -> Prediction:
-    """Mean and covariance at times (n,) of the mixture of the draws' bridges."""
+def mixture(path: PathDraws, times: np.ndarray, seed: int = 0) -> Prediction:
+    """Mean and covariance at times (n,) of the mixture of the draws' bridges.
+
+    With water, which bends them, of a draw from each.
+    """
+    if path.water is not None:
+        return _by_draws(path, times, seed)
     order, axes = path.state.shape[2:]
     total = np.zeros((len(times), order * axes))
     square = np.zeros((len(times), order * axes, order * axes))
@@ -206,6 +211,19 @@ def mixture(path: PathDraws, times: np.ndarray) -> Prediction:
     covariance = square / n - mean[:, :, None] * mean[:, None] + _on_axes(noise / n, axes)
     first, last = np.median(path.clock[:, 0]), np.median(path.clock[:, -1])
     return Prediction(times, mean + about, covariance, (times >= first) & (times <= last))
+
+
+def _by_draws(path: PathDraws, times: np.ndarray, seed: int) -> Prediction:
+    order = np.argsort(times, kind="stable")
+    ascending = np.broadcast_to(times[order], (len(path.clock), len(times)))
+    found = draw(np.random.default_rng([seed, 2]), path, ascending)
+    flat = np.empty((*found.shape[:2], found.shape[2] * found.shape[3]))
+    flat[:, order] = found.reshape(flat.shape)
+    mean = flat.mean(axis=0)
+    off = flat - mean
+    covariance = np.einsum("dti,dtj->tij", off, off) / (len(flat) - 1)
+    first, last = np.median(path.clock[:, 0]), np.median(path.clock[:, -1])
+    return Prediction(times, mean, covariance, (times >= first) & (times <= last))
 
 
 def path_draws(fit: Fit, tag: int = 0, n: int | None = None, seed: int | None = None) -> PathDraws:
@@ -246,7 +264,7 @@ def _path(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     state = x[:, mine, site.columns].reshape(len(x), len(mine), -1, site.tail[-1])
     scale = {k: by_tag(read[k], mine[:1])[:, 0] for k in site.law.scale_names}
     home = by_tag(read["centre"], mine[:1], True)[:, 0] if "centre" in read else None
-    return PathDraws(site.law, scale, in_order(clock), state, home)
+    return PathDraws(site.law, scale, in_order(clock), state, home, fit.water)
 
 
 def read_law(fit: Fit, x: np.ndarray, u: np.ndarray, emission: bool = True) -> dict:

@@ -11,6 +11,7 @@ from maloc._stages import Stages
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
+from maloc.habitat import Water
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
 from maloc.infer.marginal import MarginalFit
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from maloc.infer.predict import Prediction, TrackDraws
 
 __all__ = ["Fit", "LaplaceFit", "SampledFit"]
+
+Z95 = 1.959963984540054
 
 
 class Fit:
@@ -64,6 +67,30 @@ class Fit:
         if self.args and isinstance(self.args[0], ToaData | EncounterData | JointData):
             return int(np.asarray(self.args[0].valid).sum())
         return self.cm.length(self.args)
+
+    @property
+    def water(self) -> Water | None:
+        """What keeps the animals off the land, where the model was given it."""
+        return next((a for a in self.args[1:] if isinstance(a, Water)), None)
+
+    def positions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Mean (T, 2), covariance (T, 2, 2) and central 95 % limits (T, 2) twice of positions, m.
+
+        Of a Laplace fit by its normal law, of any other and with water by the draws.
+        """
+        n = self.n_states
+        if self.method == "laplace" and self.water is None:
+            site = next(s for s in self.cm.chain if s.name == "track")
+            xy = [site.columns.start, site.columns.start + 1]
+            mean, covariance = self.moments()
+            mean, covariance = mean[:, xy], covariance[:, xy][:, :, xy]
+            half = Z95 * np.sqrt(np.einsum("tii->ti", covariance))
+            return mean, covariance, mean - half, mean + half
+        flat = self.draws()["position"].reshape(-1, n, 2)
+        mean = flat.mean(axis=0)
+        off = flat - mean
+        covariance = np.einsum("nti,ntj->tij", off, off) / (len(flat) - 1)
+        return mean, covariance, *np.quantile(flat, [0.025, 0.975], axis=0)
 
     def flat_draws(
         self, n: int | None = None, seed: int | None = None

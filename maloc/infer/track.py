@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["gaps_outside", "track_table"]
 
-_Z95 = 1.959963984540054
 _DRAWS = 1000
 
 
@@ -63,26 +62,13 @@ def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
 
 def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
     """Rows of the heard pings from the posterior's moments."""
-    mean, covariance = fit.moments()
-    columns = _position_columns(fit)
-    position = mean[:, columns]
-    covariance = covariance[:, columns][:, :, columns]
-    sd = np.sqrt(np.einsum("tii->ti", covariance))
+    position, covariance, low, high = fit.positions()
     if fit.method == "laplace":
-        low, high = position - _Z95 * sd, position + _Z95 * sd
         x, u = fit.marginal.x, fit.marginal.u  # pyright: ignore[reportAttributeAccessIssue]
         emission = np.asarray(fit.cm.natural(x, u, fit.args)["emission_time"])[: fit.n_states]
     else:
-        x, _ = fit.flat_draws()
-        flat = x[:, :, : fit.n_states, columns].reshape(-1, fit.n_states, 2)
-        low, high = np.quantile(flat, [0.025, 0.975], axis=0)
         emission = fit.draws()["emission_time"].mean(axis=(0, 1))
     return _Rows(emission, position, covariance, low, high, toa.n_heard[toa.n_heard > 0])
-
-
-def _position_columns(fit: Fit) -> list[int]:
-    site = next(s for s in fit.cm.chain if s.name == "track")
-    return [site.columns.start, site.columns.start + 1]
 
 
 def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:

@@ -1,0 +1,124 @@
+"""Polygons of water from GeoJSON, in the receivers' frame."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maloc.errors import InputError
+
+if TYPE_CHECKING:
+    from maloc.data.receivers import Receivers
+    from maloc.habitat import Water
+
+__all__ = ["read_polygons", "read_water"]
+
+_FAR = 20.0  # m; a receiver so far inland is one too many
+
+
+def read_water(file: str | Path, receivers: Receivers, **how: Any) -> Water:
+    """Read polygons of water, and work out distances to the shore around the receivers.
+
+    Parameters
+    ----------
+    file : path
+        GeoJSON, see `read_polygons`.
+    receivers : Receivers
+        In whose frame.
+    **how
+        Options of `maloc.habitat.water`: step, margin, soft.
+
+    Returns
+    -------
+    Water
+
+    Raises
+    ------
+    InputError
+        If the file holds no polygon, or a receiver stands more than 20 m inland of it.
+    """
+    from maloc.habitat import water
+
+    found = water(read_polygons(file, receivers.crs), **how)
+    inland = -np.asarray(found.distance(receivers.xy))
+    if (wrong := np.flatnonzero(inland > _FAR)).size:
+        raise InputError(
+            f"{wrong.size} of {len(receivers)} receivers stand on land, "
+            f"{receivers.receiver[wrong[0]]} {inland[wrong[0]]:.0f} m from the water",
+            file=file,
+            mend="give the water, not the land, in the receivers' frame or in degrees",
+        )
+    return found
+
+
+def read_polygons(file: str | Path, crs: str | None = None) -> list[list[np.ndarray]]:
+    """Read polygons with their holes from GeoJSON.
+
+    Parameters
+    ----------
+    file : path
+        A geometry, a feature or a collection of them; polygons and multipolygons are taken.
+        Longitude and latitude, as GeoJSON has them, or the frame that its member ``crs`` names.
+    crs : str, optional
+        Frame to put them in; None: a local frame, in which the file's numbers are metres.
+
+    Returns
+    -------
+    list of lists of (V, 2) arrays
+        Each polygon's outline, then its holes.
+
+    Raises
+    ------
+    InputError
+        If it is no GeoJSON, or there is no polygon in it.
+    """
+    path = Path(file)
+    try:
+        read = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, ValueError) as problem:
+        raise InputError(f"is no GeoJSON: {problem}", file=path) from None
+    rings = [[_ring(r, path) for r in polygon] for polygon in _polygons(read)]
+    if not rings:
+        raise InputError("holds no polygon", file=path, mend="give the water's outline as one")
+    if crs is None:
+        return rings
+    from pyproj import Transformer
+
+    own = _frame(read)
+    if own == crs:
+        return rings
+    change = Transformer.from_crs(own, crs, always_xy=True)
+    return [[np.column_stack(change.transform(*r.T)) for r in polygon] for polygon in rings]
+
+
+def _polygons(read: Any) -> list:
+    """Coordinates of all polygons below a GeoJSON object."""
+    if not isinstance(read, dict):
+        return []
+    kind = read.get("type")
+    if kind == "Polygon":
+        return [read["coordinates"]]
+    if kind == "MultiPolygon":
+        return list(read["coordinates"])
+    if kind == "Feature":
+        return _polygons(read.get("geometry"))
+    inner = read.get("features") or read.get("geometries") or []
+    return [polygon for part in inner for polygon in _polygons(part)]
+
+
+def _ring(corners: Any, path: Path) -> np.ndarray:
+    try:
+        ring = np.array([[float(c[0]), float(c[1])] for c in corners])
+    except (TypeError, ValueError, IndexError):
+        raise InputError("a corner of a polygon is no pair of numbers", file=path) from None
+    if not np.isfinite(ring).all():
+        raise InputError("a corner of a polygon is not finite", file=path)
+    return ring[:-1] if len(ring) > 1 and (ring[0] == ring[-1]).all() else ring
+
+
+def _frame(read: dict) -> str:
+    named = (read.get("crs") or {}).get("properties", {}).get("name", "")
+    return "EPSG:4326" if not named or named.upper().endswith("CRS84") else named
