@@ -1,12 +1,13 @@
 # make demo   set up, simulate an array, track a tag in it, compare with the truth
 # make test   set up, lint, types, then the whole test suite and the notebooks
-# make test-extended   the long tests that make test leaves out
+# make test-extended   the long tests and notebooks that make test leaves out
 # Nothing but Python 3.11+ and make is needed beforehand; everything lands in .venv.
 
 VENV  := .venv
 BIN   := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
+LONG := notebooks/array_design.ipynb notebooks/hostetter_royle.ipynb
 WORKERS ?= 2
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
@@ -42,10 +43,11 @@ lint: $(STAMP)
 
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not extended' \
-	  $(if $(NOTEBOOKS),--nbmake --nbmake-timeout=300) tests $(NOTEBOOKS)
+	  --nbmake --nbmake-timeout=300 tests $(filter-out $(LONG),$(NOTEBOOKS))
 
 test-extended: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) -m extended tests
+	$(BIN)/python -m pytest -n $(WORKERS) --nbmake --nbmake-timeout=600 $(LONG)
 
 test: lint
 	@$(MAKE) --no-print-directory pytest

@@ -53,7 +53,7 @@ def test_gps_scores_by_interpolation():
     assert list(scores["heard"]) == [True, False]
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 def test_engine_against_plain_nuts(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["engine", "--pings", "12", "--draws", "20"])
     engine.main()

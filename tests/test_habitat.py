@@ -193,3 +193,12 @@ def test_the_command(tmp_path, fitted):
     (track,) = read_tracks(out)
     found = track.predict(np.linspace(*track.span, 100))
     assert signed(found.position).min() > -1.0
+
+
+def test_the_study_in_small(capsys):
+    from simulations import shores
+
+    shores.main(["--tracks", "1", "--pings", "24", "--missing", "0.5"])
+    rows = capsys.readouterr().out.splitlines()
+    assert [row.split()[0] for row in rows] == ["shores", "without", "with", "ratio"]
+    assert float(rows[2].split()[3]) < 1.0  # no posterior mean more than a metre inland

@@ -46,7 +46,7 @@ def test_jags_runs_panel_1(history):
     assert set(speed.ess) == {"p0", "scale", "sigma_step"}
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 def test_without_jags_it_says_so(monkeypatch, capsys):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     asked = ["--tags", "2", "--side", "3", "--duration", "20", "--draws", "50"]

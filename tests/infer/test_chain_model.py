@@ -20,10 +20,15 @@ from tests.oracles import from_band
 OPTIONS = [
     ("ctcrw", "ddetect", "unknown", "given"),
     ("ctcrw", "gaussian", "random", "estimated"),
-    ("ctcrw", "student", "stable", "given"),
-    ("rw", "ddetect", "random", "given"),
-    ("rw", "gaussian", "stable", "estimated"),
-    ("rw", "student", "unknown", "given"),
+    ("rw", "student", "stable", "given"),
+    *[
+        pytest.param(*options, marks=pytest.mark.extended)
+        for options in (
+            ("ctcrw", "student", "unknown", "given"),
+            ("rw", "ddetect", "random", "given"),
+            ("rw", "gaussian", "unknown", "estimated"),
+        )
+    ],
 ]
 
 

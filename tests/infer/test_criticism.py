@@ -244,7 +244,7 @@ class TestCheckInputs:
         assert found.suspects == (row.suspect,)
         assert " ! R2" in str(found)
 
-    @pytest.mark.slow
+    @pytest.mark.extended
     @pytest.mark.filterwarnings("ignore::maloc.errors.MalocWarning")
     def test_a_fit_of_the_joint_model(self):
         """Two wrong inputs at once, both named."""

@@ -19,6 +19,7 @@ def study():
     return toa, np.column_stack([truth.x, truth.y])[heard]
 
 
+@pytest.mark.extended
 def test_positions_are_near_the_truth_and_straight_where_few_heard(study):
     toa, truth = study
     data = toa.to_model_data()

@@ -181,7 +181,7 @@ def test_plain_nuts_runs():
     """Ten steps of NumPyro's own sampler on the bare function, no engine."""
     sampler = MCMC(NUTS(toa_track, max_tree_depth=5), num_warmup=10, num_samples=10,
                    progress_bar=False)  # fmt: skip
-    sampler.run(jax.random.key(3), data("stable"), movement="ctcrw", error="ddetect")
+    sampler.run(jax.random.key(3), data("stable"), movement="rw", error="gaussian")
     draws = sampler.get_samples()
     assert draws["position"].shape == (10, 6, 2)
     assert np.isfinite(draws["emission_time"]).all()

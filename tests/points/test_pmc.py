@@ -36,7 +36,7 @@ def _grid_posterior(toa, law, step=2.0):
     return mean, (weight[:, None] * offset).T @ offset, np.log(density.sum())
 
 
-@pytest.mark.parametrize("law", ["ddetect", "student"])
+@pytest.mark.parametrize("law", ["ddetect", pytest.param("student", marks=pytest.mark.extended)])
 def test_deterministic_mixture_is_the_grid_posterior(law):
     """Two of five arrivals late, so that several places share the mass."""
     rng = np.random.default_rng(3)
@@ -98,6 +98,7 @@ def test_late_arrivals_are_called_reflected_and_the_errors_law_is_found(beta):
     assert points.inlier[~wild].mean() > 0.97
 
 
+@pytest.mark.extended
 def test_depth_is_found_too():
     rng = np.random.default_rng(6)
     receivers = ring(8, depth=[0, 60, 10, 80, 5, 50, 20, 70])

@@ -72,7 +72,7 @@ def test_simulated_arrivals_follow_the_law():
     assert kstest(np.concatenate(place), "uniform").pvalue > 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 @pytest.mark.sbc
 def test_toa_track_smoke(capsys):
     """Fourteen fits say little: no p below 1e-4; stretched arrivals bring one."""

@@ -44,7 +44,13 @@ def test_positions_and_parameters_are_named():
     assert [found[k] for k in ("x first", "y middle", "x last")] == [0.0, 3.0, 6.0]
 
 
-@pytest.mark.slow
+@pytest.mark.sbc
+def test_the_command_in_small(capsys):
+    study.main(["known_interval", "--fits", "2", "--draws", "50", "--method", "hmc"])
+    assert "pings were heard by nobody" in capsys.readouterr().out
+
+
+@pytest.mark.extended
 @pytest.mark.sbc
 def test_known_interval_smoke(capsys):
     """Few fits say little: no p below 1e-4; silence left out is seen at p0."""
