@@ -151,7 +151,7 @@ def water(
     origin = bounds[:2] - margin - 0.137 * step  # shores are drawn along round numbers
     columns, rows = (np.ceil(size / step).astype(int) + 2).tolist()
     xy = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) * step + origin
-    places = shapely.points(xy)
+    places = np.asarray(shapely.points(xy))
     shapely.prepare(whole)
     foot = shapely.get_coordinates(shapely.shortest_line(whole.boundary, places.ravel()))
     away = xy - foot[::2].reshape(xy.shape)

@@ -144,7 +144,7 @@ def _stored_water(file: Path):
 
     try:
         with xr.open_dataset(file, group="water", engine="h5netcdf") as found:
-            parts = {name: np.asarray(value.values) for name, value in found.items()}
+            parts = {str(name): np.asarray(value.values) for name, value in found.items()}
     except (OSError, ValueError, KeyError):
         return None
     from maloc.habitat import Water

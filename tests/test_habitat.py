@@ -1,6 +1,7 @@
 """Distance to the shore, and tracks that keep off the land."""
 
 import json
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -114,7 +115,7 @@ def along_the_shore(seed=0, pings=24):
     arrival = sent[:, None] + (away + rng.normal(0, 8.0, away.shape)) / 1480.0
     receivers = maloc.Receivers(np.array([f"R{i}" for i in range(6)]), xy[:, 0], xy[:, 1])
     toa = maloc.ArrivalTimes(
-        np.where(heard, arrival, np.nan), receivers, 1480.0,
+        np.where(heard, arrival, np.nan), receivers, np.asarray(1480.0),
         schedule=maloc.Schedule("random", 20.0, 30.0),
     )  # fmt: skip
     return toa, path
