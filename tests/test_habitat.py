@@ -18,7 +18,7 @@ from maloc.models import toa_track
 LAKE = np.array([[0.0, 0], [300, 0], [300, 200], [160, 240], [0, 200]])
 ISLAND = np.array([[120.0, 80], [180, 80], [180, 130], [120, 130]])
 SHAPE = shapely.Polygon(LAKE, [ISLAND])
-HOW = {
+HOW: dict[str, Any] = {
     "movement": "ctcrw",
     "error": "ddetect",
     "sound_speed": "auto",
