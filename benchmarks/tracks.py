@@ -105,13 +105,10 @@ def fit_case(case: Case, method: str, draws: int, seed: int, positions: str | No
         worst = max(r_hat(places).max(), r_hat(fit.u).max())
         ess = np.median(ess_bulk(places)) / spent, ess_bulk(fit.u).min() / spent
         sampler = (spent, *ess, worst, float(fit.stats["diverging"].sum()))
-        low, high = np.quantile(places.reshape(-1, fit.n_states, 2), [0.025, 0.975], axis=0)
-    mean, covariance = fit.moments()
-    sd = np.sqrt(np.einsum("tii->ti", covariance))[:, :2]
-    if method == "laplace":
-        low, high = mean[:, :2] - 1.96 * sd, mean[:, :2] + 1.96 * sd
+    mean, covariance, low, high = fit.positions()
+    sd = np.sqrt(np.einsum("tii->ti", covariance))
     truth = case.truth[case.toa.n_heard > 0]
-    error = np.linalg.norm(mean[:, :2] - truth, axis=1)
+    error = np.linalg.norm(mean - truth, axis=1)
     return Row(
         case.name,
         error.mean(),

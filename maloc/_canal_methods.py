@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from maloc._limits import Z95
 from maloc.errors import FitError, InputError
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from maloc.points.result import Points
 
 __all__ = ["METHODS", "Located", "check_methods", "timed"]
-
-_Z95 = 1.959963984540054
 
 
 class Located(NamedTuple):
@@ -99,14 +98,14 @@ def _joint(case: Case, settings: Settings) -> Located:
     rows = np.arange(rows[0], rows[-1] + 1)  # before and after, nothing is known of the tag
     history = maloc.arrival_history(_rows_of(case.toa, rows, case.toa.schedule), known=True)
     fit = maloc.infer.laplace(maloc.models.joint, history)
-    mean, covariance = fit.moments()
     ping = np.asarray(fit.args[0].ping)[: fit.n_states]
     if ping.sum() != len(rows):
         raise FitError(f"{int(ping.sum())} positions for {len(rows)} pings")
-    position, sd = (np.full((len(case.toa), 2), np.nan) for _ in range(2))
-    position[rows] = mean[ping, :2]
-    sd[rows] = np.sqrt(np.einsum("tii->ti", covariance))[ping, :2]
-    low, high = position - _Z95 * sd, position + _Z95 * sd
+    mean, covariance, *limits = fit.positions()
+    sds = np.sqrt(np.einsum("tii->ti", covariance))
+    position, sd, low, high = (np.full((len(case.toa), 2), np.nan) for _ in range(4))
+    for whole, part in zip((position, sd, low, high), (mean, sds, *limits), strict=True):
+        whole[rows] = part[ping]
     return Located(position, sd, low, high, tuple(fit.warnings), _cpu(fit))
 
 
@@ -165,8 +164,8 @@ def _de(case: Case, settings: Settings) -> Located:
 def _of_points(points: Points) -> Located:
     """Positions and widths of located pings; limits are the method's own where it has them."""
     sd = np.where(points.located[:, None], points.sd, np.nan)
-    low = points.extra.get("lo", points.position - _Z95 * sd)
-    high = points.extra.get("hi", points.position + _Z95 * sd)
+    low = points.extra.get("lo", points.position - Z95 * sd)
+    high = points.extra.get("hi", points.position + Z95 * sd)
     return Located(points.position, sd, low, high)
 
 

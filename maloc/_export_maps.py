@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from maloc._export_run import CHI95, Finished, degrees, ellipse_axes, typed
+from maloc._export_run import Finished, degrees, ellipse_axes, typed
+from maloc._limits import CHI95
 from maloc.errors import InputError
 
 if TYPE_CHECKING:

@@ -13,10 +13,9 @@ from maloc.errors import InputError
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["CHI95", "Finished", "dated", "degrees", "ellipse_axes", "read_finished", "typed"]
+__all__ = ["Finished", "dated", "degrees", "ellipse_axes", "read_finished", "typed"]
 
 _TABLES = ("predicted", "track", "points")
-CHI95 = 5.991464547107979  # 95 % point of chi squared with two degrees of freedom
 
 
 class Finished(NamedTuple):

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc._export_run import CHI95, Finished, dated, degrees, ellipse_axes, typed
+from maloc._export_run import Finished, dated, degrees, ellipse_axes, typed
+from maloc._limits import CHI95
 from maloc.errors import InputError
 
 if TYPE_CHECKING:

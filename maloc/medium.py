@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc.data._time import NS
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ __all__ = ["mackenzie", "with_sound_speed"]
 
 MACKENZIE_SD = 0.07  # m/s, the equation's own standard error
 _RANGES = {"temperature": (-2.0, 35.0), "salinity": (0.0, 45.0), "depth": (0.0, 8000.0)}
-_NS = 1_000_000_000
 
 
 def mackenzie(temperature: Any, salinity: Any = 35.0, depth: Any = 0.0) -> np.ndarray:
@@ -104,7 +104,7 @@ def with_sound_speed(
     if toa.origin is None:
         raise InputError("the arrival times have no date: a table of the water cannot be met")
     time, speed = speed_table(table, salinity, depth)
-    at = toa.first + toa.origin / _NS
+    at = toa.first + toa.origin / NS
     heard = at[np.isfinite(at)]
     if len(heard) and (heard.max() < time[0] - 86_400 or heard.min() > time[-1] + 86_400):
         raise InputError("the table of the water is of another time than the pings")
@@ -133,7 +133,7 @@ def speed_table(
     if when.dtype.base_type() is not pl.Datetime or when.null_count():
         row = int(when.is_null().arg_max() or 0) + 2 if when.null_count() else None
         raise InputError("not an ISO 8601 time in UTC", file=path, row=row, column="time")
-    seconds = when.dt.cast_time_unit("ns").dt.replace_time_zone(None).to_physical().to_numpy() / _NS
+    seconds = when.dt.cast_time_unit("ns").dt.replace_time_zone(None).to_physical().to_numpy() / NS
     values = {c: rows[o].cast(pl.Float64, strict=False).to_numpy() for c, o in name.items()
               if c in ("sound_speed", "temperature", "salinity", "depth")}  # fmt: skip
     if "sound_speed" in values:

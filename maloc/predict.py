@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc._limits import Z95
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from maloc.infer.predict import Prediction, TrackDraws
 
 __all__ = ["StoredTrack", "prediction_table", "read_tracks", "regular_times"]
-
-_Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,14 +139,16 @@ def _read(file: Path) -> list[StoredTrack]:
 
 def _stored_water(file: Path):
     """What kept the animals off the land, or None."""
+    import h5netcdf
     import xarray as xr
 
-    try:
-        with xr.open_dataset(file, group="water", engine="h5netcdf") as found:
-            parts = {str(name): np.asarray(value.values) for name, value in found.items()}
-    except (OSError, ValueError, KeyError):
-        return None
+    with h5netcdf.File(file, "r") as stored:
+        if "water" not in stored.groups:
+            return None
     from maloc.habitat import Water
+
+    with xr.open_dataset(file, group="water", engine="h5netcdf") as found:
+        parts = {str(name): np.asarray(value.values) for name, value in found.items()}
 
     return Water(**parts)
 
@@ -193,7 +194,7 @@ def prediction_table(track: StoredTrack, times: np.ndarray, seed: int = 0) -> pl
 
     found = track.predict(times)
     sd = np.sqrt(np.einsum("tii->ti", found.covariance))
-    low, high = found.position - _Z95 * found.sd, found.position + _Z95 * found.sd
+    low, high = found.position - Z95 * found.sd, found.position + Z95 * found.sd
     if track.method != "laplace":
         tracks = track.sample_tracks(times, 1000, seed)
         low, high = np.quantile(tracks.position, [0.025, 0.975], axis=0)

@@ -38,7 +38,7 @@ def joint(
     history : ArrivalTimes, ArrivalHistory or JointData
         Arrival times and encounters of one tag or several, see `maloc.arrival_history`.
     water : maloc.habitat.Water, optional
-        Keeps animals off the land, see `toa_track`; not where ``arrivals`` is None.
+        Keeps animals off the land, see `toa_track`; only with ``arrivals``.
     movement : {"ctcrw", "rw", "ou"}
         Continuous-time correlated random walk, Brownian motion, or a home range (each tag its own).
     arrivals : {"ddetect", "gaussian", "student", None}
@@ -62,7 +62,8 @@ def joint(
     Raises
     ------
     ValueError
-        If an option is none of these, or nothing is left to learn from.
+        If an option is none of these, nothing is left to learn from, or water comes without
+        arrivals.
 
     Notes
     -----
@@ -83,6 +84,8 @@ def joint(
     )
     if arrivals is None and detection is None:
         raise ValueError("neither arrivals nor detection: nothing to learn from")
+    if arrivals is None and water is not None:
+        raise ValueError("water goes with arrivals")
     data = as_joint_data(history)
     if arrivals is None:
         position = _parts.track(data.encounters, movement, False)

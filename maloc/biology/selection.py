@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp, softmax
 
+from maloc._limits import Z95
 from maloc.errors import FitError, InputError
 
 __all__ = ["Selection", "resource_selection"]
-
-_Z95 = 1.959963984540054
 
 
 class Selection(NamedTuple):
@@ -94,7 +93,7 @@ def resource_selection(
     beta, value, hessian = _climb(used, free)
     covariance = np.linalg.inv(-hessian) / np.outer(scale, scale)
     sd, beta = np.sqrt(np.diag(covariance)), beta / scale
-    return Selection(beta, sd, beta - _Z95 * sd, beta + _Z95 * sd, covariance, value)
+    return Selection(beta, sd, beta - Z95 * sd, beta + Z95 * sd, covariance, value)
 
 
 def _climb(used: np.ndarray, free: np.ndarray):

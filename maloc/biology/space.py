@@ -67,34 +67,28 @@ def inside(position: np.ndarray, area: Any) -> np.ndarray:
         m.
     area : (V, 2) array, or a polygon
         Corners of a simple polygon (m, the frame of the track); or anything with
-        ``__geo_interface__`` (a Shapely geometry, with holes and parts: needs ``maloc[geo]``), or
-        the geometry of a GeoJSON file as a dict.
+        ``__geo_interface__`` (a Shapely geometry, with holes and parts), or the geometry of a
+        GeoJSON file as a dict.
 
     Raises
     ------
     InputError
         If it is no polygon.
     """
+    import shapely
+    from shapely.geometry import Polygon, shape
+
     flat = np.asarray(position, float).reshape(-1, 2)
     if isinstance(area, dict) or hasattr(area, "__geo_interface__"):
-        try:
-            import shapely
-            from shapely.geometry import shape
-        except ImportError:
-            raise InputError(
-                "such an area needs Shapely", mend="pip install 'maloc[geo]'"
-            ) from None
         geometry = shape(area)
         if geometry.geom_type not in ("Polygon", "MultiPolygon"):
             raise InputError(f"an area is a polygon, not a {geometry.geom_type}")
-        found = shapely.contains_xy(geometry, flat[:, 0], flat[:, 1])
     else:
         corners = np.asarray(area, float)
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
             raise InputError(f"an area has three corners (V, 2) or more, not {corners.shape}")
-        from matplotlib.path import Path
-
-        found = Path(corners).contains_points(flat)
+        geometry = Polygon(corners)
+    found = shapely.contains_xy(geometry, flat[:, 0], flat[:, 1])
     return np.asarray(found).reshape(np.shape(position)[:-1])
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._jax import jnp
+from maloc._limits import Z95
 from maloc._stages import Stages
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from maloc.infer.predict import Prediction, TrackDraws
 
 __all__ = ["Fit", "LaplaceFit", "SampledFit"]
-
-Z95 = 1.959963984540054
 
 
 class Fit:
@@ -79,14 +78,17 @@ class Fit:
         Of a Laplace fit by its normal law, of any other and with water by the draws.
         """
         n = self.n_states
+        site = next(s for s in self.cm.chain if s.name == "track")
+        xy = [site.columns.start, site.columns.start + 1]
         if self.method == "laplace" and self.water is None:
-            site = next(s for s in self.cm.chain if s.name == "track")
-            xy = [site.columns.start, site.columns.start + 1]
             mean, covariance = self.moments()
             mean, covariance = mean[:, xy], covariance[:, xy][:, :, xy]
             half = Z95 * np.sqrt(np.einsum("tii->ti", covariance))
             return mean, covariance, mean - half, mean + half
-        flat = self.draws()["position"].reshape(-1, n, 2)
+        path = (
+            self.flat_draws()[0][:, :, :n, xy] if self.water is None else self.draws()["position"]
+        )
+        flat = path.reshape(-1, n, 2)
         mean = flat.mean(axis=0)
         off = flat - mean
         covariance = np.einsum("nti,ntj->tij", off, off) / (len(flat) - 1)

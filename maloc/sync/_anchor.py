@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["anchored"]
 
 HOUR = 3600.0
-NS = 1_000_000_000
 
 
 def anchored(sync: ClockSync, receiver: object, recorded: object, true: object) -> ClockSync:

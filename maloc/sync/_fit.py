@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from maloc.data import Detections, Note, Receivers
+from maloc.data._time import NS
 from maloc.errors import FitError, InputError
 from maloc.sync import _arrivals, _model
 from maloc.sync._coarse import FEW
@@ -16,7 +17,7 @@ from maloc.sync._outcome import outcome
 from maloc.sync._prepare import Curve, Grouped, SyncData, alignment_notes, collect, group
 from maloc.sync._search import fit_with_jumps
 from maloc.sync._speed import Speed, speed_of
-from maloc.sync.clocks import NS, ClockSync
+from maloc.sync.clocks import ClockSync
 
 __all__ = ["fit", "prepare"]
 

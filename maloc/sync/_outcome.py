@@ -13,6 +13,7 @@ from maloc.sync._locate import TWICE, UNSURE, locate
 from maloc.sync._model import Solution
 from maloc.sync._prepare import ECHO, JUMPED
 from maloc.sync._search import Dated
+from maloc.sync._tables import jump_text
 from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ def _remarks(sync: ClockSync, fitted: Solution, p: Prepared) -> list[Note]:
         text += "; whether it was right cannot be known from sync tags, reference= chooses another"
     notes.append(Note("info", text))
     for j in range(len(sync.jumps)):
-        notes.append(Note("warning", sync.jump_text(j)))
+        notes.append(Note("warning", jump_text(sync, j)))
     own = np.flatnonzero(np.abs(sync.delay) > 3 * np.maximum(sync.delay_sd, 1e-9))
     if len(own):
         each = [f"{sync.receivers.labels[d]} {1e3 * sync.delay[d]:+.2f} ms" for d in own]

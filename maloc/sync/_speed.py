@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from maloc.data._time import NS
 from maloc.errors import InputError
 
 __all__ = ["Speed", "speed_of"]
 
 DEFAULT, DEFAULT_SD = 1500.0, 50.0  # prior of an estimated sound speed, m/s
-NS = 1_000_000_000
 
 
 class Speed(NamedTuple):

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from maloc.data import Detections, Note, Receivers
+from maloc.data._time import NS
 from maloc.errors import InputError
-from maloc.sync._locate import SURE, TWICE, UNSURE, locate, offset_sd
+from maloc.sync._locate import SURE, locate, offset_sd
 from maloc.sync._prepare import seconds
+from maloc.sync._records import ClockJumps, SyncResiduals
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,82 +23,6 @@ if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes
 
 __all__ = ["ClockJumps", "ClockSync", "SyncResiduals"]
-
-NS = 1_000_000_000
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class SyncResiduals:
-    """Every sync detection and how it fits, arrays (N,) in the order of the detections' table.
-
-    Parameters
-    ----------
-    row : int
-        Row of the detections' table.
-    ping : int
-        Sync ping, numbered from 1 in time order; 0 = in none.
-    sync_tag, receiver : str
-    time : int64
-        Recorded time, ns since 1970.
-    distance : float
-        From the sync tag to the receiver, at the fitted places, m.
-    offset : float
-        Recorded less common time, s; NaN = in no ping of the fit.
-    residual : float
-        Arrival less expected arrival on the common clock, s; NaN = in no ping of the fit.
-    p_direct : float
-        Posterior probability that the arrival came by the direct path; NaN = not in the fit.
-    why : str
-        Why it was left out or does not count; "" = used.
-    """
-
-    row: np.ndarray
-    ping: np.ndarray
-    sync_tag: np.ndarray
-    receiver: np.ndarray
-    time: np.ndarray
-    distance: np.ndarray
-    offset: np.ndarray
-    residual: np.ndarray
-    p_direct: np.ndarray
-    why: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-    @property
-    def used(self) -> np.ndarray:
-        """Whether an arrival counts (N,)."""
-        return np.asarray(self.why == "")
-
-    def __repr__(self) -> str:
-        return f"SyncResiduals: {len(self)} sync detections, {int(self.used.sum())} used"
-
-
-@dataclass(frozen=True, eq=False)
-class ClockJumps:
-    """Jumps of clocks, arrays (J,).
-
-    Parameters
-    ----------
-    receiver : str
-    time : float
-        Common time, s from the origin: midway between the sync detections around it.
-    low, high : float
-        Between which it lies for sure, s: two sync detections of the receiver.
-    size, size_sd : float
-        By how much the clock stepped forward, s.
-    """
-
-    receiver: np.ndarray
-    time: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    size: np.ndarray
-    size_sd: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.time)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -332,98 +258,21 @@ class ClockSync:
             Times in int64 ns on the common clock, in the order of the input; the extra column
             `clock_sd` is the standard error of each, s.
         """
-        at = locate(self, detections.receiver, detections.time)
-        known = at.status == SURE
-        span = np.nan_to_num(self.span)[np.maximum(at.clock, 0)]
-        away = np.maximum(span[:, 0] - at.common, at.common - span[:, 1])
-        outside = known & (away > self.spacing)
-        report = detections.report
-        minutes = f"{self.spacing / 60:.0f} min"
-        for rows, level, what in (
-            (at.clock < 0, "warning", "set aside: their receivers' clocks are not synchronised"),
-            (
-                at.status == UNSURE,
-                "warning",
-                "set aside: a jump of their receiver's clock lies between its sync detections "
-                "before and after",
-            ),
-            (
-                at.status == TWICE,
-                "warning",
-                "set aside: their receiver's clock jumped back and showed these times twice",
-            ),
-            (
-                outside,
-                "warning",
-                f"set aside: more than {minutes} before the first or after the last sync "
-                "detection of their receiver",
-            ),
-            (
-                known & (away > 0) & ~outside,
-                "info",
-                "before the first or after the last sync detection of their receiver, clock "
-                f"carried on straight by at most {minutes}",
-            ),
-        ):
-            if n := int(rows.sum()):
-                who = ", ".join(map(str, np.unique(detections.receiver[rows])))
-                report = report.add(Note(level, f"{n} detections {what} ({who})", n))
-        keep = known & ~outside
-        offset = seconds(detections.time, self.origin) - at.common
-        # the offset, not the time, goes through a float: nanoseconds survive
-        time = detections.time - np.round(offset * NS).astype(np.int64)
-        sd = offset_sd(self, np.maximum(at.clock, 0), at.segment, at.common)
-        extra = {**detections.extra, "clock_sd": sd}
-        kept = dataclasses.replace(detections, time=time, extra=extra, report=report)
-        return kept.select(mask=keep)
+        from maloc.sync._apply import apply
 
-    def jump_text(self, j: int) -> str:
-        """Return a sentence on jump `j`."""
-        q = self.jumps
-        start = np.datetime64(self.origin, "ns")
-        low, high = (
-            str(start + np.timedelta64(round(float(t[j]) * NS), "ns"))[:19] for t in (q.low, q.high)
-        )
-        return (
-            f"the clock of receiver {q.receiver[j]} jumps by {q.size[j]:+.4g} s between {low} and "
-            f"{high} (common time); it is followed across"
-        )
+        return apply(self, detections)
 
     def residuals_frame(self) -> pl.DataFrame:
         """Return the residuals as a polars DataFrame, one row a sync detection."""
-        import polars as pl
+        from maloc.sync._tables import residuals_frame
 
-        r = self.residuals
-        return pl.DataFrame(
-            {
-                "ping": r.ping,
-                "sync_tag": r.sync_tag.astype(str).tolist(),
-                "receiver": r.receiver.astype(str).tolist(),
-                "time": pl.Series(r.time).cast(pl.Datetime("ns", "UTC")),
-                "distance": r.distance,
-                "offset": pl.Series(r.offset).fill_nan(None),
-                "residual": pl.Series(r.residual).fill_nan(None),
-                "p_direct": pl.Series(r.p_direct).fill_nan(None),
-                "used": r.used,
-                "why": r.why.astype(str).tolist(),
-            }
-        )
+        return residuals_frame(self)
 
     def jumps_frame(self) -> pl.DataFrame:
         """Return the jumps as a polars DataFrame: receiver, time, low, high (UTC), size, sd (s)."""
-        import polars as pl
+        from maloc.sync._tables import jumps_frame
 
-        q = self.jumps
-        ns = {
-            name: pl.Series(self.origin + np.round(getattr(q, name) * NS).astype(np.int64)).cast(
-                pl.Datetime("ns", "UTC")
-            )
-            for name in ("time", "low", "high")
-        }
-        return pl.DataFrame(
-            {"receiver": q.receiver.astype(str).tolist(), **ns, "size": q.size, "sd": q.size_sd},
-            schema_overrides={"receiver": pl.String},
-        )
+        return jumps_frame(self)
 
     def links_frame(self) -> pl.DataFrame:
         """Return how each link (a sync tag heard by a receiver) fits, a row a link.
@@ -431,22 +280,9 @@ class ClockSync:
         Columns: sync_tag, receiver, distance (m), detections, in_fit, used, median and sd of the
         residuals used (s).
         """
-        import polars as pl
+        from maloc.sync._tables import links_frame
 
-        used = pl.col("residual").filter(pl.col("used"))
-        return (
-            self.residuals_frame()
-            .group_by("sync_tag", "receiver")
-            .agg(
-                pl.col("distance").mean(),
-                pl.len().alias("detections"),
-                pl.col("p_direct").count().alias("in_fit"),
-                pl.col("used").sum(),
-                used.median().alias("median"),
-                used.std().alias("sd"),
-            )
-            .sort("sync_tag", "receiver")
-        )
+        return links_frame(self)
 
     def summary(self) -> str:
         """Return the fit in a page of text."""

@@ -13,15 +13,6 @@ FISH = "A69-1602-12345"
 C = 1475.0
 
 
-@pytest.fixture
-def case(shared_dir):
-    def folder(number):
-        (found,) = (shared_dir / "cases").glob(f"{number}-*")
-        return found
-
-    return folder
-
-
 def positions(detections: Detections, receivers, tag=FISH):
     """Each ping by itself: least squares by consensus, no model of movement to lean on."""
     toa = maloc.toa_matrix(detections, receivers, tag, sound_speed=C)

@@ -14,15 +14,6 @@ C = 1475.0
 NS = 1_000_000_000
 
 
-@pytest.fixture
-def case(shared_dir):
-    def folder(number):
-        (found,) = (shared_dir / "cases").glob(f"{number}-*")
-        return found
-
-    return folder
-
-
 def truth(path):
     with open(path) as f:
         rows = list(csv.DictReader(f))

@@ -13,16 +13,6 @@ VUE = "Date and Time (UTC),Receiver,Transmitter,Transmitter Name,Station Name"
 NS = 1_000_000_000
 
 
-@pytest.fixture
-def read(tmp_path):
-    def from_text(text, reader=read_detections, name="file.csv", **options):
-        path = tmp_path / name
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return reader(path, **options)
-
-    return from_text
-
-
 def ns(stamp):
     return int(np.datetime64(stamp, "ns").astype(np.int64))
 

@@ -10,6 +10,7 @@ import maloc
 from maloc._jax import jax, jnp
 from maloc.data import Schedule, arrival_history
 from maloc.drift import GaussMarkov, IntervalDrift, interval_step
+from maloc.habitat import water
 from maloc.models import joint, known_interval, toa_track, unknown_interval
 from tests.infer import cases
 
@@ -83,6 +84,12 @@ def test_unknown_options_are_refused(wrong):
 def test_nothing_to_learn_from_is_refused():
     with pytest.raises(ValueError, match="nothing to learn"):
         latent(joint, (times(),), arrivals=None, detection=None)
+
+
+def test_water_without_arrivals_is_refused_not_left_out():
+    square = np.array([[-500.0, -500], [500, -500], [500, 500], [-500, 500]])
+    with pytest.raises(ValueError, match="water goes with arrivals"):
+        latent(joint, (times(), water([[square]])), arrivals=None)
 
 
 def test_gauss_markov_is_a_multivariate_normal():
