@@ -169,7 +169,7 @@ def read_shore(options: TrackOptions, receivers: Receivers, log: Log) -> tuple:
     """One `maloc.habitat.Water` where --water names a file, else nothing."""
     if options.water is None:
         return ()
-    from maloc.data.water import read_water
+    from maloc.habitat import read_water
 
     with log.stage("water"):
         return (read_water(options.water, receivers),)

@@ -7,15 +7,22 @@ B-splines, smooth enough for Newton steps and for Hamiltonian samplers.
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from maloc._jax import jax, jnp
 
+if TYPE_CHECKING:
+    from maloc.data.receivers import Receivers
+
 Numbers = Array | np.ndarray
 
-__all__ = ["Water", "water"]
+__all__ = ["Water", "read_water", "water"]
+
+_FAR = 20.0  # m; a receiver so far inland is one too many
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,3 +170,39 @@ def water(
     field = np.stack([signed, off[..., 0], off[..., 1]])
     smooth = np.stack([spline_filter(f, 3, mode="mirror") for f in field])
     return jax.device_put(Water(smooth, origin, np.asarray(float(step)), np.asarray(float(soft))))
+
+
+def read_water(file: str | Path, receivers: Receivers, **how: Any) -> Water:
+    """Read polygons of water, and work out distances to the shore around the receivers.
+
+    Parameters
+    ----------
+    file : path
+        GeoJSON, see `maloc.data.polygons.read_polygons`.
+    receivers : Receivers
+        In whose frame.
+    **how
+        Options of `water`: step, margin, soft.
+
+    Returns
+    -------
+    Water
+
+    Raises
+    ------
+    InputError
+        If the file holds no polygon, or a receiver stands more than 20 m inland of it.
+    """
+    from maloc.data.polygons import read_polygons
+    from maloc.errors import InputError
+
+    found = water(read_polygons(file, receivers.crs), **how)
+    inland = -np.asarray(found.distance(receivers.xy))
+    if (wrong := np.flatnonzero(inland > _FAR)).size:
+        raise InputError(
+            f"{wrong.size} of {len(receivers)} receivers stand on land, "
+            f"{receivers.receiver[wrong[0]]} {inland[wrong[0]]:.0f} m from the water",
+            file=file,
+            mend="give the water, not the land, in the receivers' frame or in degrees",
+        )
+    return found

@@ -10,9 +10,9 @@ import shapely
 
 import maloc
 from maloc._jax import jax, jnp
-from maloc.data.water import read_polygons, read_water
+from maloc.data.polygons import read_polygons
 from maloc.errors import InputError
-from maloc.habitat import water
+from maloc.habitat import read_water, water
 from maloc.models import toa_track
 
 LAKE = np.array([[0.0, 0], [300, 0], [300, 200], [160, 240], [0, 200]])

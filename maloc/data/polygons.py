@@ -1,57 +1,16 @@
-"""Polygons of water from GeoJSON, in the receivers' frame."""
+"""Polygons from GeoJSON, in the receivers' frame."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from maloc.errors import InputError
 
-if TYPE_CHECKING:
-    from maloc.data.receivers import Receivers
-    from maloc.habitat import Water
-
-__all__ = ["read_polygons", "read_water"]
-
-_FAR = 20.0  # m; a receiver so far inland is one too many
-
-
-def read_water(file: str | Path, receivers: Receivers, **how: Any) -> Water:
-    """Read polygons of water, and work out distances to the shore around the receivers.
-
-    Parameters
-    ----------
-    file : path
-        GeoJSON, see `read_polygons`.
-    receivers : Receivers
-        In whose frame.
-    **how
-        Options of `maloc.habitat.water`: step, margin, soft.
-
-    Returns
-    -------
-    Water
-
-    Raises
-    ------
-    InputError
-        If the file holds no polygon, or a receiver stands more than 20 m inland of it.
-    """
-    from maloc.habitat import water
-
-    found = water(read_polygons(file, receivers.crs), **how)
-    inland = -np.asarray(found.distance(receivers.xy))
-    if (wrong := np.flatnonzero(inland > _FAR)).size:
-        raise InputError(
-            f"{wrong.size} of {len(receivers)} receivers stand on land, "
-            f"{receivers.receiver[wrong[0]]} {inland[wrong[0]]:.0f} m from the water",
-            file=file,
-            mend="give the water, not the land, in the receivers' frame or in degrees",
-        )
-    return found
+__all__ = ["read_polygons"]
 
 
 def read_polygons(file: str | Path, crs: str | None = None) -> list[list[np.ndarray]]:
@@ -82,7 +41,7 @@ def read_polygons(file: str | Path, crs: str | None = None) -> list[list[np.ndar
         raise InputError(f"is no GeoJSON: {problem}", file=path) from None
     rings = [[_ring(r, path) for r in polygon] for polygon in _polygons(read)]
     if not rings:
-        raise InputError("holds no polygon", file=path, mend="give the water's outline as one")
+        raise InputError("holds no polygon", file=path, mend="give an outline as one")
     if crs is None:
         return rings
     from pyproj import Transformer
