@@ -62,8 +62,7 @@ def joint(
     Raises
     ------
     ValueError
-        If an option is none of these, nothing is left to learn from, or water comes without
-        arrivals.
+        If an option is none of these, nothing is left to learn from, or water has no arrivals.
 
     Notes
     -----
