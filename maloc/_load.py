@@ -241,6 +241,8 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                 toa = _with_rows(toa, common, detections, receivers, false)
                 if sure is not None:
                     toa = toa.replace(sound_speed_sd=sure)
+                if sync is not None:
+                    toa = toa.replace(clock_sd=sync.clock_sd(toa))
                 check_usable(toa)
             except InputError as problem:
                 if options.tags or len(tags) == 1:

@@ -68,10 +68,7 @@ def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
 
     sequence = None if options.schedule_file is None else read_sequence(options.schedule_file)
     with log.stage("group"):
-        clocks: Any = 0.0
-        if source.sync is not None:
-            clocks = [source.sync.clock_sd(toa) for toa in source.toas]
-        history = arrival_history(source.toas, sequence=sequence, clock_sd=clocks)
+        history = arrival_history(source.toas, sequence=sequence)
     asked = options.sound_speed
     how: dict[str, Any] = {
         "movement": options.movement,

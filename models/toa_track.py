@@ -49,7 +49,8 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
     -----
     Sites: ``track`` (T, 2, 2) m and m/s, or (T, 2) m; ``emission`` (T,) m: c (emission time -
     first arrival), so minus the distance to the first receiver where that arrival is direct.
-    ``sigma`` (m) is the direct arrivals' error in time, times c.
+    ``sigma`` (m) is the direct arrivals' error in time, times c; where the data have standard
+    errors of the clocks, their squares are added to its square.
     """
     _toa.refuse_unknown(
         movement=(movement, ("ctcrw", "rw", "ou")),
@@ -72,4 +73,4 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
         _toa.within_limits(data, time)
     numpyro.deterministic("position", position)
     numpyro.deterministic("emission_time", time)
-    _toa.arrivals(data, position, emission, ratio, error)
+    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd)

@@ -131,6 +131,7 @@ def insert_unheard(toa: ArrivalTimes, counts: np.ndarray) -> ArrivalTimes:
         ping=np.arange(1, n + 1),
         depth=None if toa.depth is None else spread(toa.depth, np.nan),
         detection=None if toa.detection is None else spread(toa.detection, -1),
+        clock_sd=None if toa.clock_sd is None else spread(toa.clock_sd, 0.0),
     )
 
 

@@ -145,6 +145,9 @@ class ArrivalTimes:
         Tag's depth, m, positive down; NaN = unknown.
     detection : array (P, R) of int64, optional
         Row of the detections table that each entry came from, -1 = none.
+    clock_sd : array (P, R) of float64, optional
+        Standard error of the receivers' clocks then, s (`maloc.sync.ClockSync.clock_sd`); None =
+        not known, clocks taken as exact.
     sound_speed_sd : float, optional
         Standard deviation of an error of the sound speed that all pings share, m/s; None = unknown.
     set_aside : SetAside
@@ -155,8 +158,8 @@ class ArrivalTimes:
     Raises
     ------
     InputError
-        If shapes do not agree, a time is infinite, a sound speed is not positive, or the rows
-        are not in time order.
+        If shapes do not agree, a time is infinite, a sound speed is not positive, a clock's
+        standard error is negative or no number, or the rows are not in time order.
     """
 
     toa: np.ndarray
@@ -168,6 +171,7 @@ class ArrivalTimes:
     schedule: Schedule = field(default_factory=Schedule)
     depth: np.ndarray | None = None
     detection: np.ndarray | None = None
+    clock_sd: np.ndarray | None = None
     sound_speed_sd: float | None = None
     set_aside: SetAside = field(default_factory=SetAside)
     report: ReadReport = field(default_factory=ReadReport)
@@ -194,6 +198,11 @@ class ArrivalTimes:
             checked["depth"] = _arrays.floats(self.depth, "depth", (n,))
         if self.detection is not None:
             checked["detection"] = _arrays.integers(self.detection, "detection", toa.shape)
+        if self.clock_sd is not None:
+            sds = _arrays.floats(self.clock_sd, "clock_sd", toa.shape, finite=True)
+            if (sds < 0).any():
+                raise InputError(f"clock_sd {sds.min():g} s is negative")
+            checked["clock_sd"] = sds
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         first = self._first_heard()

@@ -81,7 +81,6 @@ def arrival_history(
     *,
     known: bool | None = None,
     sequence: np.ndarray | None = None,
-    clock_sd: float | Sequence[np.ndarray] = 0.0,
     **fields: Any,
 ) -> ArrivalHistory:
     """Bring arrival times and encounters of one tag or several together.
@@ -96,9 +95,6 @@ def arrival_history(
         whose missed pings can be counted: they become rows.
     sequence : (L,) array, optional
         The tag's pseudo-random sequence of burst intervals, s, which repeats; the phase is found.
-    clock_sd : float, or a (P, R) array for each tag
-        Standard deviation of the receivers' clocks, s: of each array's rows, see
-        `maloc.sync.ClockSync.sd_at`.
     **fields
         Other fields of `EncounterHistory`: start, end, covariates, low, high, edge.
 
@@ -113,19 +109,14 @@ def arrival_history(
         interval explains fewer than nine gaps in ten.
     """
     given = [toas] if isinstance(toas, ArrivalTimes) else list(toas)
-    sds = [clock_sd] * len(given) if np.isscalar(clock_sd) else list(clock_sd)  # pyright: ignore
-    if len(sds) != len(given):
-        raise InputError(f"{len(sds)} arrays of clock_sd for {len(given)} tags")
     schedule = next((t.schedule for t in given if t.heard.any()), Schedule())
     kind = "sequence" if sequence is not None else schedule.kind
-    filled, sd, links = [], [], []
-    for toa, clock in zip(given, sds, strict=True):
+    filled, links = [], []
+    for toa in given:
         if not toa.heard.any():
             continue  # EncounterHistory says so
-        at = np.broadcast_to(np.asarray(clock, float), toa.toa.shape)
         whole, own = _whole(toa, schedule, sequence, known)
         filled.append(whole)
-        sd.append(_rows_of(at, toa, whole))
         links.append(own)
     counted = kind in ("stable", "sequence")
     told = True if counted else known
@@ -144,7 +135,9 @@ def arrival_history(
         encounters=encounters,
         arrival=_arrivals(filled, encounters),
         sound_speed=np.concatenate([t.sound_speed for t in filled]),
-        clock_sd=np.concatenate(sd),
+        clock_sd=np.concatenate(
+            [np.zeros(t.toa.shape) if t.clock_sd is None else t.clock_sd for t in filled]
+        ),
         links=Links(n, nominal),
         schedule="unknown" if kind == "poisson" else kind,
         interval=_interval(schedule, nominal, n),
@@ -188,14 +181,8 @@ def _heard_only(toa: ArrivalTimes, rows: np.ndarray) -> ArrivalTimes:
         ping=toa.ping[rows],
         depth=None if toa.depth is None else toa.depth[rows],
         detection=None if toa.detection is None else toa.detection[rows],
+        clock_sd=None if toa.clock_sd is None else toa.clock_sd[rows],
     )
-
-
-def _rows_of(values: np.ndarray, before: ArrivalTimes, after: ArrivalTimes) -> np.ndarray:
-    """Values (P, R) of one tag at the heard rows of what its rows have become; 0 elsewhere."""
-    out = np.zeros(after.toa.shape)
-    out[after.n_heard > 0] = values[before.n_heard > 0]
-    return out
 
 
 def _random_counts(encounters: EncounterHistory, schedule: Schedule) -> np.ndarray:

@@ -38,6 +38,8 @@ class ToaData:
         Reference sound speed x (arrival - first arrival of the ping); 0 where not heard.
     heard : (T, R) bool
         Which receivers heard the ping.
+    clock_sd : (T, R) m or None
+        Sound speed x the standard error of the receiver's clock; None: clocks are exact.
     time : (T,) s
         First arrival of each ping, from the data set's origin.
     dt : (T - 1,) s
@@ -82,6 +84,7 @@ class ToaData:
     interval: Float[Numbers, 2]
     valid: Bool[Numbers, " ping"]
     present: Bool[Numbers, " receiver"]
+    clock_sd: Float[Numbers, "ping receiver"] | None = None
     schedule: str = "unknown"
     speed_known: bool = True
 
@@ -155,10 +158,10 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
     more, wider = pings - n_pings, columns - n_receivers
     steps = np.maximum(np.diff(first), _MIN_STEP)
     step = float(np.median(steps)) if n_pings > 1 else 60.0
-    rows_and_columns = ((0, more), (0, wider))
+    padding, clock = ((0, more), (0, wider)), toa.clock_sd
     data = ToaData(
-        range=np.asarray(np.pad(ranges, rows_and_columns)),
-        heard=np.asarray(np.pad(heard, rows_and_columns)),
+        range=np.asarray(np.pad(ranges, padding)),
+        heard=np.asarray(np.pad(heard, padding)),
         time=np.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
         dt=np.asarray(np.append(steps, np.full(more, step))),
         speed=np.asarray(np.append(speed, np.full(more, speed[-1]))),
@@ -171,6 +174,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         interval=np.asarray([schedule.lo, schedule.hi], float),
         valid=np.asarray(np.arange(pings) < n_pings),
         present=np.asarray(np.arange(columns) < n_receivers),
+        clock_sd=None if clock is None else np.pad(clock[heard_rows] * speed[:, None], padding),
         schedule=schedule.kind,
         speed_known=sd is None,
     )
