@@ -14,7 +14,7 @@ from maloc.errors import FitError, InputError
 
 __all__ = ["BAD_INPUT", "OneLineGroup", "explained", "fail"]
 
-BAD_INPUT, FAILED_FIT = 2, 1
+BAD_INPUT, FAILED_FIT, INTERRUPTED = 2, 1, 130
 
 
 class OneLineGroup(TyperGroup):
@@ -52,5 +52,7 @@ def explained(command: Callable) -> Callable:
             raise typer.Exit(fail(problem, BAD_INPUT)) from None
         except FitError as problem:
             raise typer.Exit(fail(problem, FAILED_FIT)) from None
+        except KeyboardInterrupt:
+            raise typer.Exit(fail("interrupted", INTERRUPTED)) from None
 
     return run

@@ -88,7 +88,10 @@ def track(
     ] = None,
     sound_speed: Annotated[
         str | None,
-        typer.Option(metavar="C|estimated|drifting", help="Sound speed, m/s (drifting: joint)."),
+        typer.Option(
+            metavar="C|estimated|drifting|TABLE.csv",
+            help="Sound speed, m/s (drifting: joint), or a table of the water's state.",
+        ),
     ] = None,
     method: Annotated[
         Literal["laplace", "nuts", "hmc", "svi"],
@@ -191,7 +194,10 @@ def points(
         float, typer.Option(metavar="S", help="--sync beacons: sync tags' pings this near in time.")
     ] = 60.0,
     reference: Reference = None,
-    sound_speed: Annotated[str | None, typer.Option(metavar="C", help="Sound speed, m/s.")] = None,
+    sound_speed: Annotated[
+        str | None,
+        typer.Option(metavar="C|TABLE.csv", help="Sound speed, m/s, or the water's state."),
+    ] = None,
     ignore_columns: IgnoreColumns = "",
     crs: Crs = None,
     format: Format = None,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from maloc.data import ArrivalTimes, Detections, Receivers, Schedule
     from maloc.sync import ClockSync
 
-__all__ = ["Source", "TrackOptions", "load", "sync_tags", "tags_to_fit"]
+__all__ = ["Source", "TrackOptions", "load", "speed_of_water", "sync_tags", "tags_to_fit"]
 
 ROW = "row in the detections as read"  # extra column that survives the synchronisation
 ROUGHLY = 1.0  # s; how well clocks agree that were brought together by the animals' own pings
@@ -113,20 +113,10 @@ class TrackOptions:
             return Schedule("random", float(sequence.min()), float(sequence.max()))
         return Schedule()
 
-    def speed(self) -> float:
-        """The sound speed given, m/s; NaN where none was, or where it is to be estimated."""
-        if self.sound_speed in (None, "estimated", "drifting"):
-            return nan
-        try:
-            speed = float(str(self.sound_speed))
-        except ValueError:
-            speed = nan
-        if not 1300.0 <= speed <= 1700.0:
-            raise InputError(
-                f"--sound-speed {self.sound_speed} is no speed of sound in water, 1300 to 1700 m/s",
-                mend="give m/s, or 'estimated', or 'drifting' (--model joint)",
-            )
-        return speed
+    def speed(self) -> float | Path | None:
+        """The sound speed given, m/s, or its table; None where it is to be estimated."""
+        estimated = self.sound_speed in ("estimated", "drifting")
+        return None if estimated else speed_of_water(self.sound_speed)
 
     def record(self) -> dict[str, Any]:
         """The options as plain values."""
@@ -142,6 +132,24 @@ class Source(NamedTuple):
     sync: ClockSync | None
     skipped: dict[str, str]  # tags that cannot be positioned, and why
     beacons: tuple[ArrivalTimes, ...] = ()  # sync tags' pings, with --sync beacons
+
+
+def speed_of_water(text: str | None) -> float | Path | None:
+    """What --sound-speed gives: m/s, or a table of the water's state."""
+    if text is None:
+        return None
+    if Path(text).is_file():
+        return Path(text)
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = nan
+    if not 1300.0 <= speed <= 1700.0:
+        raise InputError(
+            f"--sound-speed {text} is no file, and no speed of sound in water, 1300 to 1700 m/s",
+            mend="give m/s or a table of the water (see --help for words)",
+        )
+    return speed
 
 
 def load(options: TrackOptions, log: Log) -> Source:
@@ -177,6 +185,7 @@ def read_shore(options: TrackOptions, receivers: Receivers, log: Log) -> tuple:
 
 def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
     from maloc.data import read_toa
+    from maloc.medium import with_sound_speed
 
     assert options.toa is not None
     with log.stage("read"):
@@ -186,12 +195,14 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
                 options.toa,
                 receivers,
                 ignore_columns=options.ignore_columns,
-                sound_speed=None if np.isnan(given) else given,
+                sound_speed=None if isinstance(given, Path) else given,
                 schedule=options.schedule(),
                 tag=tag,
             )
             for tag in (dict.fromkeys(options.tags) or [None])
         ]
+        if isinstance(given, Path):
+            toas = [with_sound_speed(toa, given) for toa in toas]
         for toa in toas:
             log.report(toa.report)
             check_usable(toa, options.toa)
@@ -200,6 +211,7 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
 
 def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
     from maloc.data import toa_matrix
+    from maloc.medium import with_sound_speed
 
     with log.stage("read"):
         detections = options.reading.detections(options.detections)
@@ -221,9 +233,10 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         common = common.select(mask=~np.isin(common.extra[ROW], list(false)))
         if false:
             log.notice(f"{len(false)} detections set aside: too soon after another at a receiver")
-    speed = options.speed()
-    if np.isnan(speed):
-        speed = None if sync is None else sync.sound_speed
+    given = options.speed()
+    speed = None if isinstance(given, Path) else given
+    if speed is None and sync is not None:
+        speed = sync.sound_speed
     sure = None if sync is None or sync.sound_speed != speed else sync.sound_speed_sd or None
     toas, skipped = [], {}
     known: dict[str, Any] = {"sound_speed": speed}
@@ -241,6 +254,8 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                 toa = _with_rows(toa, common, detections, receivers, false)
                 if sure is not None:
                     toa = toa.replace(sound_speed_sd=sure)
+                if isinstance(given, Path):
+                    toa = with_sound_speed(toa, given)
                 if sync is not None:
                     toa = toa.replace(clock_sd=sync.clock_sd(toa))
                 check_usable(toa)
@@ -335,13 +350,8 @@ def _sync(
         return None
     from maloc.sync import fit
 
-    given = options.speed()
-    sync = fit(
-        detections,
-        receivers,
-        sound_speed=None if np.isnan(given) else given,
-        reference=options.reference,
-    )
+    how = {"reference": options.reference, "progress": not log.quiet}
+    sync = fit(detections, receivers, sound_speed=options.speed(), **how)
     for note in sync.notes:
         (log.notice if note.level == "info" else log.warn)(note.text)
     log.notice(repr(sync))

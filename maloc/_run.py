@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._folder import check_free, output_folder
-from maloc._load import TrackOptions, load, read_shore
+from maloc._load import TrackOptions, load, read_shore, speed_of_water
 from maloc._log import Log
 from maloc._mirror import Line, mirror_line
 from maloc._reading import Reading
@@ -160,10 +160,11 @@ def run_sync(
     receivers: Path,
     out: Path,
     reference: str | None = None,
-    sound_speed: float | None = None,
+    *,
+    sound_speed: str | None = None,
+    anchors: Path | None = None,
     crs: str | None = None,
     seed: int = 0,
-    *,
     reading: Reading | None = None,
     force: bool = False,
     quiet: bool = False,
@@ -179,9 +180,10 @@ def run_sync(
     """
     check_free(out, force)
     log = Log(quiet)
+    speed = sound_speed if sound_speed in ("constant", "varying") else speed_of_water(sound_speed)
     with log.listening():
         from maloc import _output
-        from maloc.sync import fit
+        from maloc.sync import fit, read_anchors
 
         reading = reading or Reading()
 
@@ -190,8 +192,11 @@ def run_sync(
             log.report(table.report)
             raw = reading.detections(detections)
             log.report(raw.report)
+            known = None if anchors is None else read_anchors(anchors)
         with log.stage("sync"):
-            sync = fit(raw, table, sound_speed=sound_speed, reference=reference)
+            how = {"sound_speed": speed, "reference": reference, "progress": not quiet}
+            sync = fit(raw, table, **how)
+            sync = sync if known is None else sync.anchored(*known)
         for note in sync.notes:
             (log.notice if note.level == "info" else log.warn)(note.text)
         log.release()
@@ -208,6 +213,7 @@ def run_sync(
                         "receivers": str(receivers),
                         "reference": reference,
                         "sound_speed": sound_speed,
+                        "anchors": None if anchors is None else str(anchors),
                         "crs": crs,
                         **{k: v for k, v in vars(reading).items() if v is not None},
                     },

@@ -128,7 +128,17 @@ def sync(
     out: Out,
     reference: Reference = None,
     sound_speed: Annotated[
-        float | None, typer.Option(min=1300, max=1700, help="m/s; estimated when left out.")
+        str | None,
+        typer.Option(
+            metavar="C|constant|TABLE.csv",
+            help="m/s; estimated, as one number; of the water's state. Left out: it may vary.",
+        ),
+    ] = None,
+    anchors: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TABLE.csv|EVENTS", help="Moments of known true time: receiver, recorded, true."
+        ),
     ] = None,
     crs: Crs = None,
     format: Format = None,
@@ -148,8 +158,9 @@ def sync(
     from maloc._run import run_sync
 
     reading = Reading(format, tz, clock, tag_table)
-    how: dict[str, Any] = {"reading": reading, "force": force, "quiet": quiet}
-    found = run_sync(detections, receivers, out, reference, sound_speed, crs, seed, **how)
+    asked: dict[str, Any] = {"reference": reference, "sound_speed": sound_speed}
+    how: dict[str, Any] = {"anchors": anchors, "crs": crs, "seed": seed, "reading": reading}
+    found = run_sync(detections, receivers, out, **asked, **how, force=force, quiet=quiet)
     if not quiet:
         typer.echo(f"{found.summary()}\nwritten to {out}")
 

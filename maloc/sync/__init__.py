@@ -5,6 +5,7 @@ animals' own tags, to about a second. `connectivity`, `latency` and `find_sync_o
 array hangs together.
 """
 
+from maloc.sync._anchor_file import Anchors, read_anchors
 from maloc.sync._fit import fit
 from maloc.sync._rough import rough
 from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
@@ -18,6 +19,7 @@ from maloc.sync.connect import (
 )
 
 __all__ = [
+    "Anchors",
     "ClockJumps",
     "ClockSync",
     "Connectivity",
@@ -27,6 +29,7 @@ __all__ = [
     "find_sync_order",
     "fit",
     "latency",
+    "read_anchors",
     "rough",
     "sync_pair",
 ]

@@ -56,8 +56,10 @@ def anchored(sync: ClockSync, receiver: object, recorded: object, true: object) 
         + level
         + slope * ((sync.residuals.time - sync.origin) * 1e-9 - sync.residuals.offset),
     )
+    lost = int((~known).sum())
+    also = f" ({lost} more are of no synchronised receiver, or of when it is not)" if lost else ""
     text = (
-        f"common time put right by {int(known.sum())} moments of known true time: by "
+        f"common time put right by {int(known.sum())} moments of known true time{also}: by "
         f"{-level:+.4g} s at the first detection and {-86_400 * slope:+.3g} s a day; they agree "
         f"within {rest:.2g} s"
     )

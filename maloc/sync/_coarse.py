@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from maloc.sync._progress import Tell, silent
 from maloc.sync._votes import DRIFT, pairs, vote
 
 __all__ = ["FEW", "CoarseClock", "Stretch", "align"]
@@ -105,6 +106,7 @@ def align(
     reference: int,
     *,
     limit: float = 26 * 3600.0,
+    tell: Tell = silent,
 ) -> dict[int, CoarseClock]:
     """Align all receivers to one, those that share most with the aligned ones first.
 
@@ -116,6 +118,8 @@ def align(
     n_receivers, reference : int
     limit : float
         Largest offset searched for, s.
+    tell : Tell
+        Told of each receiver that is tried.
 
     Returns
     -------
@@ -138,6 +142,7 @@ def align(
     while todo and len(known) > 1:
         order = sorted(todo, key=lambda j: (-max(shared[j, k] for k in clocks), j))
         for j in order:
+            tell("aligning clocks")
             clock = _align_one(emission[rows[j]], key[rows[j]], known, limit)
             if clock is not None:
                 break

@@ -15,6 +15,7 @@ from maloc.sync._coarse import FEW
 from maloc.sync._curve import to_common
 from maloc.sync._outcome import outcome
 from maloc.sync._prepare import Curve, Grouped, SyncData, alignment_notes, collect, group
+from maloc.sync._progress import Tell, progress_bar, silent
 from maloc.sync._search import fit_with_jumps
 from maloc.sync._speed import Speed, speed_of
 from maloc.sync.clocks import ClockSync
@@ -33,6 +34,7 @@ def fit(
     knot_spacing: float = 1800.0,
     free_positions: Any = 1.0,
     seed: int = 0,
+    progress: bool = True,
 ) -> ClockSync:
     """Synchronise all receivers' clocks from the sync tags beside some of them.
 
@@ -69,6 +71,8 @@ def fit(
         of the array and the sound speed trade off; `sound_speed_sd` says how far.
     seed : int
         For the posterior draws of the clocks.
+    progress : bool
+        Show a progress bar on stderr, if it takes longer than a second.
 
     Returns
     -------
@@ -87,19 +91,21 @@ def fit(
     sync tags); Bickel & Fruehwirth (2006), Computational Statistics & Data Analysis 50:3500 (the
     half-sample mode); MacKay (1992), Neural Computation 4:415 (the update of the clock noise).
     """
-    p = prepare(
-        detections, receivers, sound_speed=sound_speed, reference=reference,
-        knot_spacing=knot_spacing, free_positions=free_positions,
-    )  # fmt: skip
-    try:
-        arrivals, fitted, dated = fit_with_jumps(
-            p.arrivals, p.common, p.grouped.jumps, p.state, p.geometry, p.grid,
-            p.grouped.reference, varying=p.speed.varying,
+    with progress_bar(progress) as tell:
+        p = prepare(
+            detections, receivers, sound_speed=sound_speed, reference=reference,
+            knot_spacing=knot_spacing, free_positions=free_positions, tell=tell,
         )  # fmt: skip
-    except np.linalg.LinAlgError as error:
-        raise FitError(
-            f"the clock model diverged ({error}); are the receivers' places and sync tags right?"
-        ) from error
+        try:
+            arrivals, fitted, dated = fit_with_jumps(
+                p.arrivals, p.common, p.grouped.jumps, p.state, p.geometry, p.grid,
+                p.grouped.reference, varying=p.speed.varying, tell=tell,
+            )  # fmt: skip
+        except np.linalg.LinAlgError as error:
+            raise FitError(
+                f"the clock model diverged ({error}); are the receivers' places and sync tags "
+                "right?"
+            ) from error
     return outcome(p, arrivals, fitted, dated, seed)
 
 
@@ -151,6 +157,7 @@ def prepare(
     reference: object,
     knot_spacing: float,
     free_positions: Any,
+    tell: Tell = silent,
 ) -> Prepared:
     """Check, pick the sync detections, align them coarsely and lay the joint fit out."""
     if len(detections) == 0:
@@ -179,7 +186,7 @@ def prepare(
     xyz = _coordinates(receivers)
     travel = _arrivals.distances(xyz, data.place, data.source) / speed.mean
     asked = None if reference is None else names.index(str(reference))
-    grouped = group(data, travel, asked, len(names))
+    grouped = group(data, travel, asked, len(names), tell)
     notes += tuple(alignment_notes(data, grouped.clocks, names))
     used = np.flatnonzero(grouped.why == "")
     ref = grouped.reference

@@ -32,6 +32,7 @@ from maloc.sync._arrivals import (
 from maloc.sync._curve import hermite, to_common
 from maloc.sync._normal import Step, Unknowns, normal_equations, solve_bordered
 from maloc.sync._prior import Q_START, V_START, ClockPrior, SpeedPrior
+from maloc.sync._progress import Tell, silent
 
 __all__ = ["Grid", "Jumps", "Solution", "Start", "solve"]
 
@@ -218,6 +219,7 @@ def solve(
     sigma: float | None = None,
     intensity: float | None = None,
     most_rounds: int = 60,
+    tell: Tell = silent,
 ) -> Solution:
     """Fit the clocks.
 
@@ -240,6 +242,8 @@ def solve(
         Hold the error sd (s) or all clock noise intensities (s^2/s^3).
     most_rounds : int
         Give up then, `converged` False.
+    tell : Tell
+        Told of each round.
 
     Returns
     -------
@@ -325,6 +329,7 @@ def solve(
         if step is not None and (converged or rounds >= most_rounds):
             break
 
+        tell(f"fitting {len(jump.size)} jumps and {len(free)} clocks")
         assert u is not None
         fraction = (common - grid.first) / grid.spacing - u.knot
         speed = None

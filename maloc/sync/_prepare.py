@@ -10,6 +10,7 @@ from maloc.data import Detections, Note, Receivers
 from maloc.errors import InputError
 from maloc.sync._coarse import FEW, CoarseClock, align
 from maloc.sync._pings import associate
+from maloc.sync._progress import Tell, silent
 
 __all__ = ["Curve", "Grouped", "SyncData", "collect", "group", "resolve_sync_tags", "seconds"]
 
@@ -222,11 +223,13 @@ class Grouped(NamedTuple):
     why: np.ndarray
 
 
-def _align(data: SyncData, emission: np.ndarray, n_clocks: int) -> dict[int, CoarseClock]:
+def _align(
+    data: SyncData, emission: np.ndarray, n_clocks: int, tell: Tell
+) -> dict[int, CoarseClock]:
     """Coarse clocks on the clock of a receiver that does not jump as far as votes can see."""
     tried: set[int] = set()
     reference = most_shared(data, n_clocks)
-    clocks = align(emission, data.tag, data.clock, n_clocks, reference)
+    clocks = align(emission, data.tag, data.clock, n_clocks, reference, tell=tell)
     while reference not in tried and _jumps_itself(clocks, reference):
         tried.add(reference)
         often = np.bincount(data.clock, minlength=n_clocks)
@@ -238,7 +241,7 @@ def _align(data: SyncData, emission: np.ndarray, n_clocks: int) -> dict[int, Coa
         if not few:
             break
         reference = min(few)[2]
-        clocks = align(emission, data.tag, data.clock, n_clocks, reference)
+        clocks = align(emission, data.tag, data.clock, n_clocks, reference, tell=tell)
     return clocks
 
 
@@ -293,7 +296,13 @@ def _agreeing_clock(
     return min(good, key=lambda j: (abs(value[j] - mode), j))
 
 
-def group(data: SyncData, travel: np.ndarray, reference: int | None, n_clocks: int) -> Grouped:
+def group(
+    data: SyncData,
+    travel: np.ndarray,
+    reference: int | None,
+    n_clocks: int,
+    tell: Tell = silent,
+) -> Grouped:
     """Align coarsely and form pings.
 
     Parameters
@@ -304,9 +313,11 @@ def group(data: SyncData, travel: np.ndarray, reference: int | None, n_clocks: i
     reference : int, optional
         Clock that is to be the common time; one of those that agree best if not given.
     n_clocks : int
+    tell : Tell
+        Told of each clock that is aligned.
     """
     emission = data.recorded - travel
-    clocks = _align(data, emission, n_clocks)
+    clocks = _align(data, emission, n_clocks, tell)
     segment = np.zeros(len(emission), int)
     common = np.full(len(emission), np.nan)
     why = np.full(len(emission), NOT_ALIGNED, dtype=object)

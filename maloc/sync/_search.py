@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from maloc.sync._arrivals import Arrivals, Geometry, distances, log_density
 from maloc.sync._curve import evaluate
 from maloc.sync._model import Grid, Jumps, Solution, Start, solve
 from maloc.sync._polish import Jump, joined, polish
+from maloc.sync._progress import Tell, silent
 
 __all__ = ["Dated", "fit_with_jumps"]
 
@@ -43,6 +45,7 @@ def fit_with_jumps(
     reference: int,
     *,
     varying: bool,
+    tell: Tell = silent,
 ) -> tuple[Arrivals, Solution, Dated]:
     """Fit the clocks, and find and date their jumps.
 
@@ -56,7 +59,7 @@ def fit_with_jumps(
         Jumps of the coarse clocks, s, in the order of `a.segment`.
     state : array (K, R, 2)
         Coarse state at the knots, jumps taken out.
-    geometry, grid, reference, varying
+    geometry, grid, reference, varying, tell
         As in `solve`.
 
     Returns
@@ -70,6 +73,9 @@ def fit_with_jumps(
     rows = [np.flatnonzero(a.receiver == j) for j in range(n_clocks)]
     rows = [r[np.lexsort((common[r], a.segment[r]))] for r in rows]
     jumps = _known(a, rows, sizes)
+    solved = partial(
+        solve, geometry=geometry, grid=grid, reference=reference, varying=varying, tell=tell
+    )
     travel = distances(geometry.xyz, a.place, a.source) / geometry.sound_speed
     curve = evaluate(state, grid.first, grid.spacing, a.receiver, common)
     polished = polish(a.recorded - travel, a.ping, curve, common, rows, jumps)
@@ -81,12 +87,12 @@ def fit_with_jumps(
         thin = a.ping % every == 0
         part = Arrivals(*(x[thin] for x in a))
         part = part._replace(ping=np.unique(part.ping, return_inverse=True)[1])
-        start = solve(part, geometry, start, grid, reference, varying=varying).end
-    fitted = solve(a, geometry, start, grid, reference, varying=varying)
+        start = solved(part, start=start).end
+    fitted = solved(a, start=start)
     if _lost(rows, fitted):
         # a curve left its arrivals while its noise was not known yet: once more, knowing it
         known = Start(state, table, reflected=fitted.reflected, intensity=fitted.end.intensity)
-        again = solve(a, geometry, known, grid, reference, varying=varying)
+        again = solved(a, start=known)
         fitted = max(fitted, again, key=_worth)
     add = True
     for _ in range(ROUNDS):
@@ -95,7 +101,7 @@ def fit_with_jumps(
             break
         b, table = _segments(a, rows, revised)
         begin = fitted.end._replace(jumps=table)
-        again = solve(b, geometry, begin, grid, reference, varying=varying)
+        again = solved(b, start=begin)
         if _worth(again) > _worth(fitted):
             a, jumps, fitted = b, revised, again
         elif add:
