@@ -79,12 +79,15 @@ def within_limits(data, time) -> None:
     numpyro.factor("schedule", jnp.where(data.interval_known, inside, 0.0))
 
 
-def arrivals(data, position, emission, ratio, error: str, clock_sd=None) -> None:
-    """Sites of the arrival error, and the arrivals themselves; ``ratio`` () or (T,) of speeds."""
+def arrivals(data, position, emission, ratio, error: str, clock_sd=None, down=0.0) -> None:
+    """Sites of the arrival error, and the arrivals themselves; ``ratio`` () or (T,) of speeds.
+
+    ``down`` (T, R): squared vertical distances, m2.
+    """
     sigma = numpyro.sample("sigma", dist.LogNormal(jnp.log(2.0), 1.5))
     east = position[:, :1] - data.receiver_xy.T[:1]
     north = position[:, 1:] - data.receiver_xy.T[1:]
-    distance = jnp.sqrt(east**2 + north**2 + 0.25)
+    distance = jnp.sqrt(east**2 + north**2 + 0.25 + down)
     ratio = ratio[:, None] if jnp.ndim(ratio) else ratio
     arrival = (emission[:, None] + distance) / ratio
     if clock_sd is not None:
@@ -99,7 +102,8 @@ def arrivals(data, position, emission, ratio, error: str, clock_sd=None) -> None
         law = Gaussian(arrival, sigma)
     else:
         law = Student(arrival, sigma)
-    numpyro.sample("arrival", law.mask(data.heard), obs=data.range)
+    alone = {"per_state": True}  # a ping's arrivals depend on its own state alone
+    numpyro.sample("arrival", law.mask(data.heard), obs=data.range, infer=alone)
 
 
 def speed_ratio(data, option: str):

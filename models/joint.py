@@ -8,11 +8,11 @@ import numpyro
 from maloc.data.joint_data import as_joint_data
 from maloc.data.joint_history import as_history
 from maloc.detection import KINDS, squared_distance
-from maloc.models import _parts, _toa
+from maloc.models import _depth, _parts, _toa
 
 __all__ = ["UNITS", "joint"]
 
-UNITS = _parts.UNITS | _toa.UNITS | {"interval_drift": "ms", "interval": "ms"}
+UNITS = _parts.UNITS | _toa.UNITS | _depth.UNITS | {"interval_drift": "ms", "interval": "ms"}
 UNITS |= {"range_memory": "s", "sound_speed_memory": "s"}
 
 
@@ -50,8 +50,7 @@ def joint(
     schedule : bool
         Whether the burst interval ties the emission times.
     sound_speed : {"auto", "given", "estimated", "drifting"}
-        Estimated: one factor on the given speed. Drifting: one that varies slowly in time as well.
-        Auto: estimated where the data say that the speed is not sure.
+        Estimated: one factor on the given speed (auto: if it is not sure); drifting: also in time.
     range_drift : bool
         The detection range drifts in time (Gauss-Markov on its log).
     loss : bool
@@ -66,9 +65,9 @@ def joint(
 
     Notes
     -----
-    Sites: ``track`` (S, 2, 2) m and m/s, or (S, 2) m; ``emission`` (S,) m: c (emission time - first
-    arrival); ``range_drift`` (S,), in sds; ``interval`` (S,) ms, how far a stable interval or a
-    known sequence's is from its nominal length; ``sound_speed_drift`` (S,), in sds.
+    Sites: ``track`` (S, 2, 2) m and m/s, or (S, 2) m; ``depth`` (S,) m with a `maloc.WaterColumn`;
+    ``emission`` (S,) m: c (emission time - first arrival); ``interval`` (S,) ms, how far a stable
+    one or a sequence's is from nominal; ``range_drift``, ``sound_speed_drift`` (S,), in sds.
 
     References
     ----------
@@ -86,25 +85,26 @@ def joint(
     if arrivals is None and water is not None:
         raise ValueError("water goes with arrivals")
     data = as_joint_data(history)
+    tags = data.tag, data.encounters.n_tags
     if arrivals is None:
         position = _parts.track(data.encounters, movement, False)
     else:
-        position = _toa.path(data, movement, data.tag, data.encounters.n_tags)
-        position = _toa.in_water(position, water)
+        position = _toa.in_water(_toa.path(data, movement, *tags), water)
         numpyro.deterministic("position", position)
+    down = _depth.depth(data, position, *tags)
+    if arrivals is not None:
         emission = _toa.emission(data)
         ratio = _toa.speed_ratio(data, sound_speed)
-        time = data.time + emission / (data.speed * ratio)
-        numpyro.deterministic("emission_time", time)
+        time = numpyro.deterministic("emission_time", data.time + emission / (data.speed * ratio))
         if schedule and data.schedule in ("stable", "sequence"):
             _toa.beat(data, time)
         elif schedule and data.schedule == "random":
             _toa.within_limits(data, time)
-        _toa.arrivals(data, position, emission, ratio, arrivals, data.clock_sd)
+        _toa.arrivals(data, position, emission, ratio, arrivals, data.clock_sd, down)
     if detection is not None:
         stretch = _parts.range_drift(data) if range_drift else None
-        how = (detection, loss, receiver_effects, dispersion, distance, stretch)
-        _parts.encountered(data, _parts.detection(data.encounters, position, *how))
+        how = (detection, loss, receiver_effects, dispersion, _depth.slanted(distance, data, down))
+        _parts.encountered(data, _parts.detection(data.encounters, position, *how, stretch))
 
 
 joint.reads = as_history  # what the engine makes of the first argument

@@ -14,11 +14,11 @@ import numpyro.distributions as dist
 
 from maloc._jax import jnp
 from maloc.data.model_data import as_toa_data
-from maloc.models import _toa
+from maloc.models import _depth, _toa
 
 __all__ = ["UNITS", "toa_track"]
 
-UNITS = _toa.UNITS
+UNITS = _toa.UNITS | _depth.UNITS
 
 
 def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
@@ -49,6 +49,7 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
     -----
     Sites: ``track`` (T, 2, 2) m and m/s, or (T, 2) m; ``emission`` (T,) m: c (emission time -
     first arrival), so minus the distance to the first receiver where that arrival is direct.
+    Where the arrival times have a `maloc.WaterColumn`: ``depth`` (T,) m, see `maloc.depth`.
     ``sigma`` (m) is the direct arrivals' error in time, times c; where the data have standard
     errors of the clocks, their squares are added to its square.
     """
@@ -59,6 +60,7 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
     )
     data = as_toa_data(toa)
     position = _toa.in_water(_toa.path(data, movement), water)
+    down = _depth.depth(data, position)
     emission = _toa.emission(data)
     ratio = _toa.speed_ratio(data, sound_speed)
     time = data.time + emission / (data.speed * ratio)
@@ -73,4 +75,4 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
         _toa.within_limits(data, time)
     numpyro.deterministic("position", position)
     numpyro.deterministic("emission_time", time)
-    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd)
+    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd, down)

@@ -21,6 +21,7 @@ __all__ = [
     "Schedule",
     "SetAside",
     "Tags",
+    "WaterColumn",
     "arrival_history",
     "collinear",
     "correct_clocks",
@@ -53,6 +54,7 @@ _HOME = {
     "Schedule": "arrivals",
     "SetAside": "arrivals",
     "Tags": "tags",
+    "WaterColumn": "water_column",
     "arrival_history": "joint_history",
     "collinear": "receivers",
     "correct_clocks": "events",
@@ -92,6 +94,7 @@ if TYPE_CHECKING:
     from maloc.data.receivers import Receivers, collinear
     from maloc.data.report import Note, ReadReport
     from maloc.data.tags import Tags, sensor_values
+    from maloc.data.water_column import WaterColumn
 else:
 
     def __getattr__(name: str) -> Any:

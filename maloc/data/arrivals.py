@@ -13,6 +13,7 @@ from maloc.data import _arrays
 from maloc.data._time import duration, iso
 from maloc.data.receivers import Receivers
 from maloc.data.report import ReadReport
+from maloc.data.water_column import WaterColumn
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -143,6 +144,9 @@ class ArrivalTimes:
         What is known of the burst interval.
     depth : array (P,) of float64, optional
         Tag's depth, m, positive down; NaN = unknown.
+    column : WaterColumn, optional
+        The track is to have depth: how deep the water is, and how well the tag knows its depth.
+        Without it tracks are flat, and depths are only carried along.
     detection : array (P, R) of int64, optional
         Row of the detections table that each entry came from, -1 = none.
     clock_sd : array (P, R) of float64, optional
@@ -170,6 +174,7 @@ class ArrivalTimes:
     ping: np.ndarray = None  # pyright: ignore[reportAssignmentType]
     schedule: Schedule = field(default_factory=Schedule)
     depth: np.ndarray | None = None
+    column: WaterColumn | None = None
     detection: np.ndarray | None = None
     clock_sd: np.ndarray | None = None
     sound_speed_sd: float | None = None

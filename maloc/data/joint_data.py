@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maloc._jax import jax
+from maloc.data.depth_data import DepthData, depth_data
 from maloc.data.encounter_data import EncounterData
 from maloc.data.model_data import MIN_LATENESS, SPEED_SD
 
@@ -58,6 +59,8 @@ class JointData:
         Their length by a stable or a known sequence of intervals.
     interval : (2,) s
         MIN, MAX (random schedule); MEAN, SD (stable, sequence).
+    depth : DepthData or None
+        Depths of the tags, the receivers and the bottom; None: tracks are flat.
     schedule : str
         "unknown", "random", "stable" or "sequence".
     silence : str
@@ -80,6 +83,7 @@ class JointData:
     n_intervals: Float[Numbers, " step"]
     nominal: Float[Numbers, " step"]
     interval: Float[Numbers, 2]
+    depth: DepthData | None = None
     schedule: str = "unknown"
     silence: str = "unknown"
     speed_known: bool = True
@@ -168,6 +172,8 @@ def to_model_data(history: ArrivalHistory, pad: bool = True) -> JointData:
     n_intervals[linked], nominal[linked] = links.n[step], links.nominal[step]
     if history.silence == "summed":  # more than one interval: the gap's own factor knows
         n_intervals[n_intervals > 1] = 0.0
+    sensed = np.where(ping, history.sensed_depth[row], np.nan)
+    column, whose = history.column, states.tag
     grid, along = ((0, more), (0, wider)), (0, more)
     data = JointData(
         encounters=encounters,
@@ -183,6 +189,7 @@ def to_model_data(history: ArrivalHistory, pad: bool = True) -> JointData:
         n_intervals=np.pad(n_intervals, along),
         nominal=np.pad(nominal, along),
         interval=np.asarray(history.interval, float),
+        depth=depth_data(column, who.receivers, sensed, states.time, whose, more, wider),
         schedule=history.schedule,
         silence=history.silence,
         speed_known=history.speed_sd is None,

@@ -13,6 +13,7 @@ from maloc.data._encounter_pings import travel_slack
 from maloc.data._links import Links
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.data.encounters import EncounterHistory
+from maloc.data.water_column import WaterColumn
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,6 +65,17 @@ class ArrivalHistory:
     silence: str
     speed_sd: float | None
 
+    @property
+    def column(self) -> WaterColumn | None:
+        """That tracks have depth, see `ArrivalTimes`."""
+        return self.toas[0].column
+
+    @property
+    def sensed_depth(self) -> np.ndarray:
+        """Depths (P,) m that the tags sent; NaN = none."""
+        each = [np.full(len(t), np.nan) if t.depth is None else t.depth for t in self.toas]
+        return np.concatenate(each)
+
     def to_model_data(self, pad: bool = True) -> JointData:
         """Return the arrays that the joint model takes, padded or not."""
         from maloc.data.joint_data import to_model_data
@@ -110,6 +122,8 @@ def arrival_history(
     """
     given = [toas] if isinstance(toas, ArrivalTimes) else list(toas)
     schedule = next((t.schedule for t in given if t.heard.any()), Schedule())
+    if any(t.column != given[0].column for t in given):
+        raise InputError("tags differ in their water column", mend="give all of them the same")
     kind = "sequence" if sequence is not None else schedule.kind
     filled, links = [], []
     for toa in given:

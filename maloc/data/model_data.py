@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maloc._jax import jax
+from maloc.data.depth_data import DepthData, depth_data
 
 if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes
@@ -60,6 +61,8 @@ class ToaData:
         Burst intervals between consecutive heard pings; 0 where not known.
     interval : (2,) s
         MIN, MAX (random schedule) or MEAN, SD (stable).
+    depth : DepthData or None
+        Depths of the tag, the receivers and the bottom; None: the track is flat.
     valid : (T,) bool
         False for padding.
     present : (R,) bool
@@ -85,6 +88,7 @@ class ToaData:
     valid: Bool[Numbers, " ping"]
     present: Bool[Numbers, " receiver"]
     clock_sd: Float[Numbers, "ping receiver"] | None = None
+    depth: DepthData | None = None
     schedule: str = "unknown"
     speed_known: bool = True
 
@@ -175,6 +179,14 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         valid=np.asarray(np.arange(pings) < n_pings),
         present=np.asarray(np.arange(columns) < n_receivers),
         clock_sd=None if clock is None else np.pad(clock[heard_rows] * speed[:, None], padding),
+        depth=depth_data(
+            toa.column,
+            toa.receivers,
+            None if toa.depth is None else toa.depth[heard_rows],
+            first,
+            more=more,
+            wider=wider,
+        ),
         schedule=schedule.kind,
         speed_known=sd is None,
     )

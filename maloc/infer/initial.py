@@ -20,6 +20,7 @@ from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
+from maloc.infer._slant import depth_at, put_depth, slant_ranges
 from maloc.infer.mode import anneal, find_mode
 from maloc.statespace import SoftBox
 
@@ -48,6 +49,7 @@ def initial_values(
     data = args[0] if args else None
     u = cm.flat_globals(medians)
     x = np.zeros((length, cm.d))
+    put_depth(cm, x, data)
     emission = _column(cm, "emission")
     if isinstance(data, JointData) and emission is None:
         data = data.encounters
@@ -133,8 +135,8 @@ def put_positions(cm: ChainModel, x: np.ndarray, xy: np.ndarray) -> None:
 def _nearest(data: ToaData | JointData, xy: np.ndarray) -> np.ndarray:
     """Distance (m) from each position to the receiver that heard the ping first."""
     ranges = np.where(np.asarray(data.heard), np.asarray(data.range), np.inf)
-    first = np.asarray(data.receiver_xy)[ranges.argmin(axis=1)]
-    return np.linalg.norm(xy - first, axis=1)
+    away = slant_ranges(data, np.asarray(xy, float))
+    return np.take_along_axis(away, ranges.argmin(axis=1)[:, None], axis=1)[:, 0]
 
 
 def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -185,7 +187,7 @@ def _reassign(cm: ChainModel, data: ToaData | JointData, x: np.ndarray, values: 
     between = xy.copy()
     between[1:-1] = 0.5 * (xy[:-2] + xy[2:])
     places = np.stack([xy, between], axis=1)  # (T, 2, 2)
-    distance = np.linalg.norm(places[:, :, None] - np.asarray(data.receiver_xy), axis=-1)
+    distance = slant_ranges(data, places, depth_at(data, xy, values))
     reach = np.where(heard[:, None], ranges[:, None] - distance, 0.0)  # (T, 2, R)
     current = np.broadcast_to(x[:, None, None, emission], (*reach.shape[:2], 1))
     tried = np.concatenate([current, reach], axis=2)  # (T, 2, R + 1)

@@ -94,6 +94,17 @@ class Fit:
         covariance = np.einsum("nti,ntj->tij", off, off) / (len(flat) - 1)
         return mean, covariance, *np.quantile(flat, [0.025, 0.975], axis=0)
 
+    def depths(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+        """Mean, sd and central 95 % limits, each (T,) m, of the depth by the draws.
+
+        None where the track is flat.
+        """
+        if not self.args or getattr(self.args[0], "depth", None) is None:
+            return None
+        flat = self.draws()["depth"]
+        flat = flat.reshape(-1, flat.shape[-1])
+        return flat.mean(axis=0), flat.std(axis=0), *np.quantile(flat, [0.025, 0.975], axis=0)
+
     def flat_draws(
         self, n: int | None = None, seed: int | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
