@@ -118,6 +118,7 @@ class ChainModel:
         observed = [_unwrap(s["fn"])[0] for s in trace.values() if s["type"] == "sample"]
         self.has_local = any(getattr(fn, "local", False) for fn in observed)
         self.has_stand_in = any(hasattr(fn, "local_log_prob") for fn in observed)
+        self.has_own = any(map(_is_own, trace.values()))
         self.terms = jax.jit(self._robust_terms)
         self.exact = jax.jit(self._exact_terms)
         self.gradient = jax.jit(jax.grad(self._value))
@@ -187,14 +188,15 @@ class ChainModel:
 
     # -- densities ----------------------------------------------------------------------------
 
-    def _joint(self, x, u, args, temper, here=None):
+    def _joint(self, x, u, args, temper, here=None, own=None):
         """Log joint density in (path, unconstrained parameters), errors widened to ``temper``.
 
         Given a trace ``here``, sites that are not local are replaced by their stand-ins there.
+        ``own``: only sites that are `_is_own` (True), or only the others (False).
         """
         values, total = self.sites(x, u)
         for name, site in self._trace(values, args).items():
-            if site["type"] != "sample":
+            if site["type"] != "sample" or own not in (None, _is_own(site)):
                 continue
             fn = site["fn"]
             base, mask = _unwrap(fn)
@@ -216,17 +218,17 @@ class ChainModel:
     def _value(self, x, u, args, temper):
         return -self._joint(x, u, args, temper)
 
-    def _surrogate(self, moving, x, u, args, temper, robust):
+    def _surrogate(self, moving, x, u, args, temper, robust, own):
         """Negative log joint whose Hessian in ``moving`` at x is the Gauss-Newton one.
 
         Sites whose distribution knows a non-negative curvature of its residual enter by it and by
         the movement of their ``loc``; local ones are left out (see `_local`); everything else
-        enters exactly.
+        enters exactly. ``own`` as in `_joint`.
         """
         here = self._trace(self.sites(x, u)[0], args)
         values, total = self.sites(moving, u)
         for name, site in self._trace(values, args).items():
-            if site["type"] != "sample":
+            if site["type"] != "sample" or _is_own(site) != own:
                 continue
             fn = site["fn"]
             base, mask = _unwrap(fn)
@@ -290,39 +292,49 @@ class ChainModel:
     def _robust_terms(self, x, u, args, temper, robust):
         value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
         slope = jax.grad(self._surrogate)
-        _, push = jax.linearize(lambda m: slope(m, x, u, args, temper, robust), x)
-        band = self._band(push, x.shape)
+        band = self._hessian(lambda m, own: slope(m, x, u, args, temper, robust, own), x)
         if self.has_local:
-            d = self.d
             # a state that nothing ties to its neighbours is held by its own block alone
             tied = any(getattr(s.law, "is_chain", False) for s in self.chain)
-            clipped = _clipped(self._local_blocks(x, u, args), 0.0 if tied else _LEAST)
-            for i in range(d):
-                column = jnp.moveaxis(clipped[:, i:, i], 1, 0)  # (d - i, T), below the diagonal
-                band = band.at[: d - i, i::d].add(column)
+            slope = jax.grad(self._local)
+            blocks = self._blocks(lambda m: slope(m, x, u, args), x)
+            band = self._with_blocks(band, _clipped(blocks, 0.0 if tied else _LEAST))
         return value, gradient, band
 
-    def _local_blocks(self, x, u, args):
-        """Hessian blocks (T, d, d) of the local sites: one product a column does for all states."""
-        slope = jax.grad(self._local)
-        _, push = jax.linearize(lambda m: slope(m, x, u, args), x)
+    def _hessian(self, slope, x):
+        """Band of the derivative of slope(path, own) in the path, both kinds of sites together."""
+        _, push = jax.linearize(lambda m: slope(m, False), x)
+        band = self._band(push, x.shape)
+        if self.has_own:
+            band = self._with_blocks(band, self._blocks(lambda m: slope(m, True), x))
+        return band
+
+    def _blocks(self, slope, x):
+        """Diagonal blocks (T, d, d) of a slope's derivative that has no others.
+
+        One product a column does for all states: a third of what `_band` takes.
+        """
+        _, push = jax.linearize(slope, x)
         probes = jnp.broadcast_to(jnp.eye(self.d)[:, None], (self.d, *x.shape))
         return jnp.moveaxis(jax.vmap(push)(probes), 0, 2)
 
-    def _exact_terms(self, x, u, args, temper):
-        if self.has_stand_in:
-            value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
-            slope = jax.grad(self._stand_in)
-            _, push = jax.linearize(lambda m: slope(m, x, u, args, temper), x)
-            return value, gradient, self._band(push, x.shape)
-        both = jax.value_and_grad(self._value)
-        (value, gradient), push = jax.linearize(lambda m: both(m, u, args, temper), x)
-        return value, gradient, self._band(lambda v: push(v)[1], x.shape)
+    def _with_blocks(self, band, blocks):
+        """A band with diagonal blocks (T, d, d) added."""
+        d = self.d
+        for i in range(d):
+            column = jnp.moveaxis(blocks[:, i:, i], 1, 0)  # (d - i, T), below the diagonal
+            band = band.at[: d - i, i::d].add(column)
+        return band
 
-    def _stand_in(self, moving, x, u, args, temper):
-        """Negative log joint with stand-ins for what is not local: its Hessian is banded."""
-        here = self._trace(self.sites(x, u)[0], args)
-        return -self._joint(moving, u, args, temper, here)
+    def _exact_terms(self, x, u, args, temper):
+        value, gradient = jax.value_and_grad(self._value)(x, u, args, temper)
+        slope = jax.grad(self._part)
+        return value, gradient, self._hessian(lambda m, own: slope(m, x, u, args, temper, own), x)
+
+    def _part(self, moving, x, u, args, temper, own):
+        """Part of the negative log joint, with stand-ins for what is not local: it is banded."""
+        here = self._trace(self.sites(x, u)[0], args) if self.has_stand_in else None
+        return -self._joint(moving, u, args, temper, here, own)
 
     def cross(self, x, u, args):
         """Mixed derivative d2 / du dx (k, T, d) of the negative log joint, by differences."""
@@ -382,6 +394,11 @@ class ChainModel:
         }
         total, density = jax.lax.scan(one, zero, (x, u))
         return density, jax.tree.map(lambda v: v / x.shape[0], total)
+
+
+def _is_own(site) -> bool:
+    """Whether a site's rows depend on one state of the path each: ``infer={"per_state": True}``."""
+    return bool(site["type"] == "sample" and site["is_observed"] and site["infer"].get("per_state"))
 
 
 def _clipped(blocks, least: float):

@@ -15,6 +15,7 @@ from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._stretches import straighten
 from maloc.infer.initial import initial_values, repair, stable_interval
+from maloc.infer.long import LongFit, fit_long, long_arguments
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import _factor, find_mode
 from maloc.infer.point_start import checked_positions
@@ -56,6 +57,7 @@ def laplace(
     Returns
     -------
     LaplaceFit
+        Of more than 2048 heard pings a `LongFit`: the same, found by windows.
 
     Raises
     ------
@@ -74,8 +76,15 @@ def laplace(
         args = tuple(map(getattr(model, "reads", _same), args[:1])) + args[1:]
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
+    whole = long_arguments(args, cm)
     try:
-        fit = _fit(cm, args, path, positions, stages)
+        if whole is None:
+            fit = _fit(cm, args, path, positions, stages)
+        else:
+            args = whole
+            with stages.time("prepare"):
+                found = checked_positions(args, positions)
+            fit = fit_long(cm, args, found, _block, path, stages)
     except np.linalg.LinAlgError as error:
         raise FitError(f"the path's precision cannot be factored: {error}") from error
     warnings: list[str] = []
@@ -83,7 +92,8 @@ def laplace(
         raise FitError("no finite mode of the path was found")
     if not fit.converged:
         warnings.append("the parameters' optimum was not reached: treat widths with care")
-    return LaplaceFit(cm, args, options, stages, tuple(warnings), fit, draws, seed)
+    kind = LaplaceFit if whole is None else LongFit
+    return kind(cm, args, options, stages, tuple(warnings), fit, draws, seed)
 
 
 def _same(x):
@@ -110,6 +120,11 @@ def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> Margin
         with stages.time("parameters"):
             fit = maximise_marginal(cm, args, x, fit.u)
     return fit
+
+
+def _block(cm: ChainModel, args: tuple, path, positions) -> MarginalFit:
+    """Fit a block of a long track."""
+    return _fit(cm, args, path, positions, Stages())
 
 
 def _starts(cm: ChainModel, args: tuple, path, positions) -> list:

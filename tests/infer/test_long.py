@@ -1,0 +1,68 @@
+"""Long tracks by windows: the same fit as in one piece."""
+
+import importlib
+
+import numpy as np
+import pytest
+
+import maloc
+from maloc._stages import Stages
+from maloc.infer import _windows, long
+from maloc.infer._model import chain_model
+from maloc.simulate import canal_toa
+
+HOW = {"movement": "rw", "error": "gaussian"}  # compile fast
+
+
+@pytest.fixture(scope="module")
+def pieces():
+    """A track of 120 pings, 11 of them heard by one receiver alone, in one piece and in windows."""
+    toa, _ = canal_toa(np.random.default_rng(5), n_pings=120, p_na=0.4, p_mp=0.0)
+    heard = toa.toa.copy()
+    heard[56:67, 1:] = np.nan  # about a seam: neighbours far away must be felt through it
+    heard[56:67, 0] = toa.first[56:67] + 0.1
+    args = (toa.replace(toa=heard).to_model_data(),)
+    cm = chain_model(maloc.models.toa_track, HOW, args)
+    args = long.long_arguments(args, cm, 28)
+    assert args is not None and len(args[0].valid) == 136
+    return cm, args, maloc.infer.laplace(maloc.models.toa_track, *args, **HOW)
+
+
+def test_derivatives_add_up(pieces):
+    cm, args, _ = pieces
+    windows = _windows.Windows(cm, args, 28)
+    rng = np.random.default_rng(0)
+    x, u = rng.normal(0, 40, (136, cm.d)), rng.normal(0, 0.4, cm.k)
+    for whole, parts in (
+        (cm.exact(x, u, args, 0.0), windows.exact(x, u, args, 0.0)),
+        (cm.terms(x, u, args, 5.0, True), windows.terms(x, u, args, 5.0, True)),
+    ):
+        for a, b in zip(whole, parts, strict=True):
+            np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9 * np.abs(a).max())
+    whole = cm.cross(x, u, args)
+    np.testing.assert_allclose(windows.cross(x, u, args), whole, atol=1e-7 * np.abs(whole).max())
+
+
+def test_seams_do_not_show(pieces):
+    cm, args, whole = pieces
+    block = importlib.import_module("maloc.infer.laplace")._block
+    fit = long.fit_long(cm, args, None, block, None, Stages(), 28)
+    assert fit.converged
+    sd = np.sqrt(np.einsum("tii->ti", whole.moments()[1]))
+    off = np.abs(fit.x - whole.marginal.x)[: len(sd)] / sd
+    assert off.max() < 0.05
+    u_sd = np.sqrt(np.diag(whole.marginal.covariance))
+    assert (np.abs(fit.u - whole.marginal.u) / u_sd).max() < 0.2
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), u_sd, rtol=0.25)
+    np.testing.assert_allclose(
+        fit.factor.covariances()[:120],
+        whole.marginal.factor.covariances()[:120],
+        rtol=0.1,
+        atol=1e-2,
+    )
+
+
+def test_short_tracks_and_other_models_are_left_alone(pieces):
+    cm, args, _ = pieces
+    assert long.long_arguments(args, cm) is None
+    assert long.long_arguments((np.zeros(5000),), cm, 28) is None
