@@ -1,5 +1,7 @@
 """Arrival laws against SciPy, quadrature, mpmath and Bayes by hand."""
 
+import functools
+import itertools
 import math
 from typing import Any
 
@@ -39,8 +41,41 @@ SCIPY: dict[str, Any] = {
 }
 
 
-def case(table):
-    return pytest.mark.parametrize("law", table.values(), ids=table.keys())
+def case(table, long=()):
+    """Every law of the table; those named in ``long`` in the long run only."""
+    laws = [
+        pytest.param(law, marks=[pytest.mark.extended] if name in long else [], id=name)
+        for name, law in table.items()
+    ]
+    return pytest.mark.parametrize("law", laws)
+
+
+@functools.cache
+def compiled(name):
+    return jax.jit(lambda law, value: getattr(law, name)(value))
+
+
+def at(law, name, value):
+    """A method of a law at values of any shape; few shapes are compiled, for each law's class."""
+    value = np.asarray(value, dtype=float)
+    room = next(n for n in (64, 4096, 8192, 40960) if value.size <= n)
+    flat = np.full(room, float(law.loc))
+    flat[: value.size] = value.ravel()
+    return np.asarray(compiled(name)(law, flat))[: value.size].reshape(value.shape)
+
+
+@jax.jit
+def moments(law):
+    return law.mean, law.variance
+
+
+def derivative(of):
+    return jax.jit(lambda law, value: jax.vmap(jax.grad(lambda v: of(law, v)))(value))
+
+
+slope_of_cdf = derivative(lambda law, value: law.cdf(value))
+slope_of_log_prob = derivative(lambda law, value: law.log_prob(value))
+bend_of_log_prob = derivative(lambda law, value: jax.grad(law.log_prob)(value))
 
 
 def awkward(law=LETTER):
@@ -59,37 +94,42 @@ def test_density_cdf_and_quantiles_equal_scipys(name):
     law, want = LAWS[name], SCIPY[name]
     q = np.array([1e-10, 1e-4, 0.03, 0.2, 0.5, 0.7, 0.99, 1 - 1e-6])
     value = want.ppf(q)
-    np.testing.assert_allclose(law.log_prob(value), want.logpdf(value), rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(law.cdf(value), want.cdf(value), rtol=1e-11)
-    np.testing.assert_allclose(law.icdf(q), value, rtol=1e-8)
-    assert float(law.mean) == pytest.approx(want.mean(), rel=1e-12)
-    assert float(law.variance) == pytest.approx(want.var(), rel=1e-12)
+    np.testing.assert_allclose(
+        at(law, "log_prob", value), want.logpdf(value), rtol=1e-12, atol=1e-12
+    )
+    np.testing.assert_allclose(at(law, "cdf", value), want.cdf(value), rtol=1e-11)
+    np.testing.assert_allclose(at(law, "icdf", q), value, rtol=1e-8)
+    assert moments(law) == pytest.approx((want.mean(), want.var()), rel=1e-12)
 
 
 @pytest.mark.parametrize("beta", [0.7, 1.0, 2.0, 3.3, 8.0, 32.0, 200.0])
 def test_generalized_normal_over_shapes(beta):
-    law = GeneralizedNormal(-2.0, 0.4, beta)
+    fixed = GeneralizedNormal(-2.0, 0.4, beta)
+    law = GeneralizedNormal(-2.0, 0.4, jnp.asarray(beta))
     want: Any = stats.gennorm(beta, -2.0, 0.4)
     value = np.r_[-2.0, want.ppf([1e-6, 0.01, 0.3, 0.5 + 1e-12, 0.8, 1 - 1e-6])]
-    np.testing.assert_allclose(law.log_prob(value), want.logpdf(value), rtol=1e-11, atol=1e-11)
-    np.testing.assert_allclose(law.cdf(value), want.cdf(value), rtol=1e-9)
-    np.testing.assert_allclose(law.icdf(want.cdf(value)), value, rtol=1e-9)
-    np.testing.assert_allclose(law.variance, want.var(), rtol=1e-12)
+    np.testing.assert_allclose(
+        at(law, "log_prob", value), want.logpdf(value), rtol=1e-11, atol=1e-11
+    )
+    np.testing.assert_allclose(at(law, "cdf", value), want.cdf(value), rtol=1e-9)
+    np.testing.assert_allclose(at(law, "icdf", want.cdf(value)), value, rtol=1e-9)
+    np.testing.assert_allclose(moments(law), [-2.0, want.var()], rtol=1e-12)
     rtol = 1e-9 if beta >= 1 else 1e-7  # 1 / 2 + 1e-12 is not the centre for a cusp
-    np.testing.assert_allclose(jax.vmap(jax.grad(law.cdf))(value), want.pdf(value), rtol=rtol)
+    np.testing.assert_allclose(slope_of_cdf(law, value), want.pdf(value), rtol=rtol)
     far = np.array([-1e3, 1e3]) * 0.4 - 2.0
-    assert np.all(np.isfinite(jax.vmap(jax.grad(law.log_prob))(far)))
+    assert np.all(np.isfinite(slope_of_log_prob(law, far)))
     if beta < 64:  # |1e3|^beta is a double
-        np.testing.assert_allclose(law.log_prob(far), want.logpdf(far), rtol=1e-12)
-    traced = jax.jit(lambda b: GeneralizedNormal(-2.0, 0.4, b).log_prob(value))(beta)
-    np.testing.assert_allclose(traced, law.log_prob(value), rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(at(law, "log_prob", far), want.logpdf(far), rtol=1e-12)
+    np.testing.assert_allclose(
+        at(law, "log_prob", value), at(fixed, "log_prob", value), rtol=1e-10, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("w", [0.0, 1e-12, 0.3, 1 - 1e-9, 1.0])
 @pytest.mark.parametrize("background", [0.0, 1e-4, 0.02])
 def test_ddetect_is_the_formula(w, background):
     law = DDetect(3.0, SIGMA, PHI, w, background=background)
-    for value, got in zip(awkward(), law.log_prob(awkward()), strict=True):
+    for value, got in zip(awkward(), at(law, "log_prob", awkward()), strict=True):
         want = oracles.ddetect_log_density(float(value) - 3.0, SIGMA, PHI, w, 32, background)
         if want < -1e65:  # all late, no background and 1000 phi out: the power is cut
             assert got < -1e65
@@ -112,11 +152,8 @@ def test_ddetect_integrates_to_one(sigma, phi, w, background):
     nodes, weights = np.polynomial.legendre.leggauss(80)
     half = np.diff(edges)[:, None] / 2
     points = edges[:-1, None] + half * (nodes[None] + 1)
-    density = np.exp(np.asarray(DENSITY(law, points)))
+    density = np.exp(at(law, "log_prob", points))
     assert np.sum(density * weights[None] * half) == pytest.approx(1.0, abs=1e-7)
-
-
-DENSITY = jax.jit(lambda law, value: law.log_prob(value))
 
 
 @case({k: v for k, v in LAWS.items() if k not in ("gaussian", "student")})
@@ -124,23 +161,26 @@ def test_cdf_is_the_integral_of_the_density(law):
     values = np.array(
         [-40.0, -1.0, 0.0, 2.5, 3.0, 4.0, 8.2, 20.0, 60.0, 110.0, 121.0, 124.0, 300.0]
     )
-    density = jax.jit(lambda v: jnp.exp(law.log_prob(v)))
-    for low, high in zip(values[:-1], values[1:], strict=True):
+
+    def density(value):
+        return np.exp(at(law, "log_prob", value))
+
+    height = at(law, "cdf", values)
+    for i, (low, high) in enumerate(itertools.pairwise(values)):
         area, _ = integrate.quad(density, low, high, epsabs=1e-11, epsrel=1e-11, limit=200)
-        assert float(law.cdf(high) - law.cdf(low)) == pytest.approx(area, abs=1e-9)
-    assert float(law.cdf(-1e9)) == pytest.approx(0, abs=1e-9)
-    assert float(law.cdf(1e9)) == pytest.approx(1, abs=1e-9)
+        assert height[i + 1] - height[i] == pytest.approx(area, abs=1e-9)
+    np.testing.assert_allclose(at(law, "cdf", [-1e9, 1e9]), [0, 1], atol=1e-9)
 
 
-@case(LAWS)
+@case(LAWS, long=["odd"])
 def test_icdf_inverts_the_cdf(law):
     q = jnp.asarray([1e-8, 1e-3, 0.1, 0.35, 0.5, 0.69, 0.71, 0.9, 0.999])
-    value = jax.jit(law.icdf)(q)
-    np.testing.assert_allclose(law.cdf(value), q, rtol=1e-9)
+    value = at(law, "icdf", q)
+    np.testing.assert_allclose(at(law, "cdf", value), q, rtol=1e-9)
     slope = jax.jit(jax.vmap(jax.grad(law.icdf)))(q)
-    np.testing.assert_allclose(slope * jnp.exp(law.log_prob(value)), 1, rtol=1e-6)
+    np.testing.assert_allclose(slope * np.exp(at(law, "log_prob", value)), 1, rtol=1e-6)
     if law in (GENNORM, LETTER):
-        ends = np.asarray(law.icdf(jnp.array([0.0, 1.0, -0.1, 1.1, jnp.nan])))
+        ends = at(law, "icdf", [0.0, 1.0, -0.1, 1.1, math.nan])
         assert ends[:2].tolist() == [-math.inf, math.inf] and np.isnan(ends[2:]).all()
 
 
@@ -154,7 +194,10 @@ def test_icdf_moves_with_the_parameters():
     assert float(jax.grad(at)(0.3)) == pytest.approx(float(want), rel=1e-5)
 
 
-@case({"ddetect": LETTER, "background": ROBUST, "odd": ODD, "gennorm": GENNORM})
+@case(
+    {"ddetect": LETTER, "background": ROBUST, "odd": ODD, "gennorm": GENNORM},
+    long=["odd", "ddetect"],
+)
 def test_mean_and_variance_by_quadrature(law):
     # by quantiles, so that the tails are where they are
     nodes, weights = np.polynomial.legendre.leggauss(400)
@@ -162,28 +205,30 @@ def test_mean_and_variance_by_quadrature(law):
     edges = np.r_[edges, 1 - edges[-2::-1]]
     q = edges[:-1, None] + np.diff(edges)[:, None] * (nodes[None] + 1) / 2
     w = np.diff(edges)[:, None] * weights[None] / 2
-    value = np.asarray(jax.jit(law.icdf)(q))
+    value = at(law, "icdf", q)
     mean = np.sum(w * value)
-    assert float(law.mean) == pytest.approx(mean, rel=1e-5)
+    got, variance = map(float, moments(law))
+    assert got == pytest.approx(mean, rel=1e-5)
     rel = 1e-3 if law is ROBUST else 1e-5  # the background has cubic tails
-    assert float(law.variance) == pytest.approx(np.sum(w * (value - mean) ** 2), rel=rel)
+    assert variance == pytest.approx(np.sum(w * (value - mean) ** 2), rel=rel)
 
 
 # -- gradients -----------------------------------------------------------------------------------
 
 
+@functools.partial(jax.jit, static_argnums=5)
+@functools.partial(jax.vmap, in_axes=(0, None, None, None, None, None))
+def all_slopes(value, loc, sigma, phi, w, background):
+    def score(*at):
+        return DDetect(*at[1:], background=background).log_prob(at[0])
+
+    return jax.value_and_grad(score, argnums=(0, 1, 2, 3, 4))(value, loc, sigma, phi, w)
+
+
 @pytest.mark.parametrize("w", [0.0, 1e-300, 0.3, 1 - 1e-16, 1.0])
 @pytest.mark.parametrize("background", [0.0, 1e-4])
 def test_ddetect_gradients_are_finite_everywhere(w, background):
-    @jax.jit
-    @jax.vmap
-    def gradients(value):
-        def score(value, loc, sigma, phi, w):
-            return DDetect(loc, sigma, phi, w, background=background).log_prob(value)
-
-        return jax.value_and_grad(score, argnums=(0, 1, 2, 3, 4))(value, 3.0, SIGMA, PHI, w)
-
-    score, slopes = gradients(awkward())
+    score, slopes = all_slopes(awkward(), 3.0, SIGMA, PHI, w, background)
     assert np.all(np.isfinite(score))
     assert all(np.all(np.isfinite(slope)) for slope in slopes)
 
@@ -191,8 +236,8 @@ def test_ddetect_gradients_are_finite_everywhere(w, background):
 @case({**LAWS, "late": DDetect(3.0, SIGMA, PHI, 1.0), "never": DDetect(3.0, SIGMA, PHI, 0.0)})
 def test_gradient_and_second_derivative_finite(law):
     value = awkward(law)
-    assert np.all(np.isfinite(jax.vmap(jax.grad(law.log_prob))(value)))
-    assert np.all(np.isfinite(jax.vmap(jax.grad(jax.grad(law.log_prob)))(value)))
+    assert np.all(np.isfinite(slope_of_log_prob(law, value)))
+    assert np.all(np.isfinite(bend_of_log_prob(law, value)))
 
 
 @pytest.mark.parametrize("background", [0.0, 0.02])
@@ -200,16 +245,14 @@ def test_ddetect_gradients_are_right(background):
     def exact(value, sigma, phi, w):
         return oracles.ddetect_log_density(value, sigma, phi, w, 32, background, as_float=False)
 
-    def ours(value, sigma, phi, w):
-        return DDetect(0.0, sigma, phi, w, background=background).log_prob(value)
-
-    slopes = jax.jit(jax.grad(ours, argnums=(0, 1, 2, 3)))
-    for value in np.asarray(awkward())[4:-4]:
+    _, slopes = all_slopes(awkward(), 0.0, SIGMA, PHI, 0.3, background)
+    slopes = np.delete(np.array(slopes), 1, axis=0)  # with respect to loc: minus that to value
+    for value, got in list(zip(np.asarray(awkward()), slopes.T, strict=True))[4:-4]:
         point = (float(value), SIGMA, PHI, 0.3)
         want = [
             float(mpmath.diff(exact, point, tuple(int(i == k) for i in range(4)))) for k in range(4)
         ]
-        np.testing.assert_allclose(slopes(*point), want, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(got, want, rtol=1e-6, atol=1e-9)
 
 
 # -- what the engine asks ------------------------------------------------------------------------
@@ -218,34 +261,34 @@ def test_ddetect_gradients_are_right(background):
 @case(ERRORS)
 def test_curvature_is_the_second_derivative_or_the_floor(law):
     value = jnp.asarray(np.r_[np.linspace(-60, 190, 1501), np.asarray(awkward(law))])
-    second = jax.jit(jax.vmap(jax.grad(jax.grad(law.log_prob))))(value)
-    curvature = np.asarray(law.curvature(value))
-    floor = 0.1 * np.asarray(law.direct_curvature(value))
+    second = np.asarray(bend_of_log_prob(law, value))
+    curvature = at(law, "curvature", value)
+    floor = 0.1 * at(law, "direct_curvature", value)
     assert np.all(curvature >= 0) and np.all(np.isfinite(curvature))
     np.testing.assert_allclose(curvature, np.maximum(-second, floor), rtol=1e-6, atol=1e-9)
     assert np.any(-second > floor)
-    np.testing.assert_array_equal(
-        law.curvature(value, floor=0.5) >= 0.5 * law.direct_curvature(value), True
-    )
+    higher = jax.jit(lambda law, value: law.curvature(value, floor=0.5))(law, value)
+    assert np.all(higher >= (5 - 1e-12) * floor)
 
 
 @case(ERRORS)
 def test_robust_curvature_is_never_below_the_true_one(law):
     value = jnp.asarray(np.linspace(-60, 190, 3001))
-    second = jax.jit(jax.vmap(jax.grad(jax.grad(law.log_prob))))(value)
-    robust = np.asarray(law.robust_curvature(value))
+    second = np.asarray(bend_of_log_prob(law, value))
+    robust = at(law, "robust_curvature", value)
     assert np.all(robust >= 0)
-    assert np.all(robust >= -np.asarray(second) * (1 - 1e-9) - 1e-12)
+    assert np.all(robust >= -second * (1 - 1e-9) - 1e-12)
 
 
 @case({"gaussian": GAUSSIAN, "student": STUDENT})
 def test_robust_curvature_majorises_globally(law):
-    grid = jnp.asarray(np.linspace(-80, 80, 401))
-    for start in (-50.0, -4.0, 3.0, 9.0):
-        slope = jax.grad(law.log_prob)(start)
-        bend = law.robust_curvature(start)
-        bound = law.log_prob(start) + slope * (grid - start) - 0.5 * bend * (grid - start) ** 2
-        assert np.all(np.asarray(law.log_prob(grid) - bound) > -1e-9)
+    grid = np.linspace(-80, 80, 401)
+    starts = np.array([-50.0, -4.0, 3.0, 9.0])
+    top, bends = at(law, "log_prob", starts), at(law, "robust_curvature", starts)
+    slopes = np.asarray(slope_of_log_prob(law, starts))
+    for i, start in enumerate(starts):
+        bound = top[i] + slopes[i] * (grid - start) - 0.5 * bends[i] * (grid - start) ** 2
+        assert np.all(at(law, "log_prob", grid) - bound > -1e-9)
 
 
 @pytest.mark.parametrize("law", [LETTER, ROBUST, ODD])
@@ -262,14 +305,14 @@ def test_em_surrogate_of_ddetect_majorises(law):
         return -shares[0] * error**2 / (2 * SIGMA**2) - shares[1] * late
 
     bend = -(surrogate(start + step) - 2 * surrogate(start) + surrogate(start - step)) / step**2
-    assert float(law.robust_curvature(start)) == pytest.approx(float(bend), rel=1e-3)
+    assert float(at(law, "robust_curvature", start)) == pytest.approx(float(bend), rel=1e-3)
 
 
 def test_wild_arrivals_pull_at_nothing():
     wild = jnp.asarray([-5 * PHI, 3 * PHI, 50 * PHI])
     law = DDetect(0.0, SIGMA, PHI, 0.3, background=1e-4)
-    assert np.all(np.asarray(law.robust_curvature(wild)) < 1e-4 / SIGMA**2)
-    assert np.all(np.asarray(law.p_direct(wild)) == 0)
+    assert np.all(at(law, "robust_curvature", wild) < 1e-4 / SIGMA**2)
+    assert np.all(at(law, "p_direct", wild) == 0)
 
 
 @pytest.mark.parametrize("background", [0.0, 0.02])
@@ -279,14 +322,16 @@ def test_p_direct_is_bayes_by_hand(background):
     direct = (1 - background) * 0.7 * stats.norm.pdf(value, 3.0, SIGMA)
     late = (1 - background) * 0.3 * stats.gennorm.pdf(value, 32, 3.0 + PHI / 2, PHI / 2)
     wild = background * stats.t.pdf(value, 3, 3.0 + PHI / 2, 10 * PHI)
-    np.testing.assert_allclose(law.p_direct(value), direct / (direct + late + wild), rtol=1e-9)
+    np.testing.assert_allclose(
+        at(law, "p_direct", value), direct / (direct + late + wild), rtol=1e-9
+    )
 
 
 def test_p_direct_at_the_ends():
     value = awkward()
-    assert np.all(np.asarray(DDetect(3.0, SIGMA, PHI, 0.0).p_direct(value)) == 1)
-    assert np.all(np.asarray(DDetect(3.0, SIGMA, PHI, 1.0).p_direct(value)) == 0)
-    assert GAUSSIAN.p_direct(jnp.zeros(4)).tolist() == [1.0] * 4
+    assert np.all(at(DDetect(3.0, SIGMA, PHI, 0.0), "p_direct", value) == 1)
+    assert np.all(at(DDetect(3.0, SIGMA, PHI, 1.0), "p_direct", value) == 0)
+    assert at(GAUSSIAN, "p_direct", np.zeros(4)).tolist() == [1.0] * 4
 
 
 @case(ERRORS)
@@ -294,7 +339,9 @@ def test_widened(law):
     assert float(law.widened(50.0).sigma) == 50
     assert float(law.widened(0.0).sigma) == SIGMA
     value = awkward(law)
-    np.testing.assert_array_equal(law.widened(0.0).log_prob(value), law.log_prob(value))
+    np.testing.assert_array_equal(
+        at(law.widened(0.0), "log_prob", value), at(law, "log_prob", value)
+    )
     assert type(law.widened(50.0)) is type(law)
 
 
@@ -314,9 +361,9 @@ class Laplace(ArrivalError):
 def test_a_users_own_law_has_the_defaults():
     law = Laplace(1.0)
     value = jnp.asarray([-5.0, 1.0, 2.0])
-    want = (1 + (value - 1) ** 2) ** -1.5
-    np.testing.assert_allclose(law.curvature(value), want, rtol=1e-12)
-    np.testing.assert_allclose(law.robust_curvature(value), want, rtol=1e-12)
+    want = (1 + (np.asarray(value) - 1) ** 2) ** -1.5
+    np.testing.assert_allclose(at(law, "curvature", value), want, rtol=1e-12)
+    np.testing.assert_allclose(at(law, "robust_curvature", value), want, rtol=1e-12)
     assert law.widened(3.0) is law
     assert float(law.mean) == 1
 
@@ -324,15 +371,15 @@ def test_a_users_own_law_has_the_defaults():
 # -- draws ---------------------------------------------------------------------------------------
 
 
-@case(LAWS)
+@case(LAWS, long=["odd", "ddetect"])
 def test_draws_follow_the_distribution(law):
     n = 40_000
     drawn = np.asarray(jax.jit(lambda key: law.sample(key, (n,)))(jax.random.key(11)))
-    assert stats.kstest(drawn, lambda v: np.asarray(law.cdf(v))).pvalue > FALSE_ALARM
+    assert stats.kstest(drawn, lambda v: at(law, "cdf", v)).pvalue > FALSE_ALARM
     if law not in (STUDENT, ROBUST):  # no fourth moment there
         limit = stats.norm.isf(FALSE_ALARM / 2)
-        variance = float(law.variance)
-        assert abs(drawn.mean() - float(law.mean)) < limit * math.sqrt(variance / n)
+        mean, variance = map(float, moments(law))
+        assert abs(drawn.mean() - mean) < limit * math.sqrt(variance / n)
         spread = np.mean((drawn - drawn.mean()) ** 4) - variance**2
         assert abs(drawn.var() - variance) < limit * math.sqrt(spread / n)
 
@@ -356,18 +403,17 @@ def test_wild_draws_are_independent_of_the_direct_ones():
 @case(LAWS)
 def test_shapes_expand_mask_and_pytree(law):
     value = jnp.asarray([1.0, 4.0, 9.0])
-    want = np.asarray(law.log_prob(value))
+    want = at(law, "log_prob", value)
     wide = law.expand((3,))
     assert wide.batch_shape == (3,)
-    np.testing.assert_allclose(wide.log_prob(value), want)
+    np.testing.assert_allclose(jax.jit(wide.log_prob)(value), want)
     assert jax.eval_shape(wide.sample, jax.random.key(0)).shape == (3,)
-    np.testing.assert_allclose(wide.mask(value > 2).log_prob(value), want * (value > 2))
+    masked = jax.jit(lambda law, value: law.mask(value > 2).log_prob(value))(wide, value)
+    np.testing.assert_allclose(masked, want * (value > 2))
     leaves, tree = jax.tree_util.tree_flatten(law)
     again = jax.tree_util.tree_unflatten(tree, leaves)
-    np.testing.assert_array_equal(again.log_prob(value), want)
-    score, variance = jax.jit(lambda d, v: (d.log_prob(v), d.variance))(law, value)
-    np.testing.assert_allclose(score, want, rtol=1e-12)
-    assert float(variance) == pytest.approx(float(law.variance))
+    np.testing.assert_array_equal(at(again, "log_prob", value), want)
+    np.testing.assert_allclose(law.log_prob(value[:1]), want[:1], rtol=1e-12)  # without jit
 
 
 @pytest.mark.parametrize("make", [Gaussian, Student, DDetect, GeneralizedNormal])
@@ -377,12 +423,11 @@ def test_batches_and_vmap_over_instances_agree(make):
     law = make(loc, scale)
     value = loc + jnp.asarray([[0.1, -2.0, 3.0]])
     assert law.batch_shape == law.mean.shape == law.variance.shape == (2, 3)
-    singly = [
-        [make(loc[i, j], scale[i, 0]).log_prob(value[i, j]) for j in range(3)] for i in (0, 1)
-    ]
-    np.testing.assert_allclose(law.log_prob(value), np.array(singly), rtol=1e-13)
+    one = jax.jit(lambda loc, scale, value: make(loc, scale).log_prob(value))
+    singly = [[one(loc[i, j], scale[i, 0], value[i, j]) for j in range(3)] for i in (0, 1)]
+    np.testing.assert_allclose(jax.jit(law.log_prob)(value), np.array(singly), rtol=1e-13)
     laws = jax.vmap(make)(loc, jnp.broadcast_to(scale, (2, 3)))
-    mapped = jax.vmap(lambda d, v: d.log_prob(v))(laws, value)
+    mapped = jax.jit(jax.vmap(lambda d, v: d.log_prob(v)))(laws, value)
     np.testing.assert_allclose(mapped, np.array(singly), rtol=1e-13)
     quantiles = jax.jit(law.icdf)(jnp.full((2, 3), 0.7))
     np.testing.assert_allclose(quantiles - loc, quantiles[:, :1] - loc[:, :1] + 0 * loc, rtol=1e-9)
@@ -391,8 +436,8 @@ def test_batches_and_vmap_over_instances_agree(make):
         assert shapes.shape == (5, 2, 3)
     if issubclass(make, ArrivalError):
         for curvature in (law.curvature, law.robust_curvature, law.direct_curvature):
-            assert curvature(value).shape == (2, 3)
-        assert law.p_direct(jnp.asarray(0.0)).shape == (2, 3)
+            assert jax.eval_shape(curvature, value).shape == (2, 3)
+        assert jax.eval_shape(law.p_direct, jnp.asarray(0.0)).shape == (2, 3)
 
 
 def test_validation():

@@ -37,6 +37,16 @@ def by_hand(kind, d, p0, scale, shape, shift: Any = 0.0):
     return top * (1 - np.exp(-((d / scale) ** -shape)))
 
 
+@jax.jit
+def log_prob_of(law, heard):
+    return law.log_prob(heard)
+
+
+@jax.jit
+def what_it_says(law, heard):
+    return law.log_prob(heard), law.log_unheard, law.mean
+
+
 def problem(seed=1, n=12, k=11):
     """Positions, receivers, who listened, and who heard."""
     rng = np.random.default_rng(seed)
@@ -114,13 +124,19 @@ def test_derivatives_are_finite_at_a_receiver_and_far_away(kind, shape, shifted)
         assert np.all(np.isfinite(leaf))
 
 
-@every_kind
-@pytest.mark.parametrize("options", [{"p_lost": 0.2}, {"shift": 1}, {"dispersion": 0.6}])
+OPTIONS: list[dict[str, Any]] = [{"p_lost": 0.2}, {"shift": 1}, {"dispersion": 0.6}]
+EACH_ONCE = [  # each kind and each option; all their pairs in the long run
+    pytest.param(*kind, option, marks=[pytest.mark.extended] if i != j else [])
+    for i, kind in enumerate(KINDS)
+    for j, option in enumerate(OPTIONS)
+]
+
+
+@pytest.mark.parametrize(("kind", "shape", "options"), EACH_ONCE)
 def test_gradients_by_finite_differences(kind, shape, options: dict[str, Any]):
     position, near_xy, listening, heard, shift = problem(5)
-    options = dict(options)
     if "shift" in options:
-        options["shift"] = jnp.asarray(shift)
+        options = {"shift": jnp.asarray(shift)}
 
     @jax.jit
     def score(position, p0, scale):
@@ -128,22 +144,25 @@ def test_gradients_by_finite_differences(kind, shape, options: dict[str, Any]):
         return jnp.sum(law.log_prob(heard))
 
     at = jnp.asarray(position), 0.7, 1.2
-    slopes = jax.grad(score, argnums=(0, 1, 2))(*at)
+    gradient = jax.jit(jax.grad(score, argnums=(0, 1, 2)))
+    slopes = gradient(*at)
     step = 1e-5
     for i in (0, 5, 11):
         for axis in (0, 1):
-            off = jnp.zeros_like(at[0]).at[i, axis].set(step)
+            off = np.zeros(at[0].shape)
+            off[i, axis] = step
             want = (score(at[0] + off, *at[1:]) - score(at[0] - off, *at[1:])) / (2 * step)
             np.testing.assert_allclose(slopes[0][i, axis], want, rtol=1e-5, atol=1e-7)
     want = [(score(at[0], 0.7 + step, 1.2) - score(at[0], 0.7 - step, 1.2)) / (2 * step)]
     want += [(score(at[0], 0.7, 1.2 + step) - score(at[0], 0.7, 1.2 - step)) / (2 * step)]
     np.testing.assert_allclose(slopes[1:], want, rtol=1e-5)
     # the engine's second derivatives: forward over reverse
-    gradient = jax.grad(score)
-    tangent = jnp.asarray(np.random.default_rng(0).normal(size=position.shape))
-    _, push = jax.linearize(lambda x: gradient(x, *at[1:]), at[0])
-    want = gradient(at[0] + step * tangent, *at[1:]) - gradient(at[0] - step * tangent, *at[1:])
-    np.testing.assert_allclose(push(tangent), want / (2 * step), rtol=1e-4, atol=1e-5)
+    tangent = np.random.default_rng(0).normal(size=position.shape)
+    push = jax.jit(lambda x, way: jax.jvp(lambda x: jax.grad(score)(x, *at[1:]), (x,), (way,))[1])
+    ahead, behind = (gradient(at[0] + way, *at[1:])[0] for way in (step * tangent, -step * tangent))
+    np.testing.assert_allclose(
+        push(at[0], tangent), (ahead - behind) / (2 * step), rtol=1e-4, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("k", [0, 1, 7, 8, 9, 100])
@@ -151,7 +170,7 @@ def test_log_product_is_the_sum_of_logs(k):
     rng = np.random.default_rng(k)
     x = jnp.asarray(10 ** rng.uniform(-30, 0, (4, k)))
     np.testing.assert_allclose(log_product(x), np.log(x).sum(axis=1), rtol=1e-12)
-    slope = jax.grad(lambda x: jnp.sum(log_product(x)))(x)
+    slope = jax.jit(jax.grad(lambda x: jnp.sum(log_product(x))))(x)
     np.testing.assert_allclose(slope, 1 / x, rtol=1e-12)
 
 
@@ -181,8 +200,7 @@ def test_histories_receiver_by_receiver(kind, shape, lost, shifted):
     d = np.linalg.norm(near_xy - position[:, None], axis=-1)
     p = CAP * by_hand(kind, d, 0.7, 1.5, shape, shift if shifted else 0.0)
     each = np.broadcast_to(0.0 if lost is None else lost, len(position))
-    log_prob, log_unheard = np.asarray(law.log_prob(heard)), np.asarray(law.log_unheard)
-    mean = np.asarray(law.mean)
+    log_prob, log_unheard, mean = (np.asarray(x) for x in what_it_says(law, heard))
     for s in range(len(position)):
         want = history_by_hand(p[s], listening[s], heard[s], each[s])
         assert log_prob[s] == pytest.approx(want, rel=1e-9, abs=1e-12)
@@ -199,7 +217,7 @@ def test_probabilities_of_all_histories_sum_to_one():
         every = np.array(np.meshgrid(*[[False, True]] * 6)).reshape(6, -1).T
         every = np.broadcast_to(every[:, None], (64, len(position), 6))
         possible = np.all(listening[None] | ~every, axis=2)
-        total = np.sum(np.exp(law.log_prob(every)) * possible, axis=0)
+        total = np.sum(np.exp(log_prob_of(law, every)) * possible, axis=0)
         np.testing.assert_allclose(total, 1, rtol=1e-12)
 
 
@@ -212,7 +230,7 @@ def test_dispersion_by_adaptive_quadrature(kind, shape, lost):
         shift=jnp.asarray(shift), p_lost=lost, dispersion=0.7,
     )  # fmt: skip
     d = np.linalg.norm(near_xy - position[:, None], axis=-1)
-    log_prob = np.asarray(law.log_prob(heard))
+    log_prob = np.asarray(log_prob_of(law, heard))
     for s in range(0, len(position), 2):
 
         def density(z, s=s):
@@ -229,12 +247,14 @@ def test_pings_that_may_be_lost_never_break_at_sure_detection():
     """A hundred receivers at the animal, none heard it: it was lost; slopes are finite."""
     near_xy, nobody = jnp.zeros((1, 100, 2)), jnp.zeros((1, 100), bool)
 
+    @jax.jit
     def score(lost, p0, xy):
         law = encounters("halfnormal", xy, near_xy, ~nobody, p0, 1.0, p_lost=lost)
         return law.log_prob(nobody)[0]
 
+    both = jax.jit(jax.value_and_grad(score, argnums=(0, 1, 2)))
     for lost in (1e-12, 0.2):
-        value, slopes = jax.value_and_grad(score, argnums=(0, 1, 2))(lost, 1.0, jnp.zeros((1, 2)))
+        value, slopes = both(lost, 1.0, jnp.zeros((1, 2)))
         assert float(value) == pytest.approx(math.log(lost))
         assert float(slopes[0]) == pytest.approx(1 / lost)
         assert all(np.all(np.isfinite(s)) for s in slopes)
@@ -246,7 +266,7 @@ def test_draws_have_the_histories_probabilities(options):
     position, near_xy, listening, _, _ = problem(k=4)
     law = encounters("hazard", position, near_xy, listening, 0.8, 3.0, 2.0, **options)
     n = 20_000
-    drawn = np.asarray(law.sample(jax.random.key(2), (n,)))
+    drawn = np.asarray(jax.jit(lambda key: law.sample(key, (n,)))(jax.random.key(2)))
     assert drawn.shape == (n, 12, 4) and drawn.dtype == bool
     assert not np.any(drawn & ~listening)
     every = np.array(np.meshgrid(*[[False, True]] * 4)).reshape(4, -1).T
@@ -254,7 +274,7 @@ def test_draws_have_the_histories_probabilities(options):
     for s in (0, 7):
         on = np.all(listening[s] | ~every, axis=1)
         whole = np.broadcast_to(every[on][:, None], (on.sum(), 12, 4))
-        expected = n * np.exp(np.asarray(law.log_prob(whole))[:, s])
+        expected = n * np.exp(np.asarray(log_prob_of(law, whole))[:, s])
         counts = np.bincount(code[:, s], minlength=16)[every[on] @ (2 ** np.arange(4))]
         assert stats.chisquare(counts, expected * n / expected.sum()).pvalue > FALSE_ALARM
     np.testing.assert_allclose(drawn.mean(axis=0), law.mean, atol=5 / math.sqrt(n))
