@@ -32,6 +32,11 @@ INTO_ARRAY = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0, 12.2)
 LOG_Q = np.log([0.3, 0.2, 0.6, 0.9, 0.5, 0.4, 0.2, 0.3, 0.9, 0.5])
 
 
+likelihood = jax.jit(gap_log_likelihood)
+counts = jax.jit(missed_pmf, static_argnums=2)
+mean_count = jax.jit(missed_mean)
+
+
 def inside(rng, n):
     return rng.uniform(1.0, 2.0, n)
 
@@ -101,14 +106,14 @@ def simulated(kind, duration, log_q, draws, law=LAW, draw=inside, first=False):
 def test_likelihood_and_counts_agree_with_simulation(kind, duration, log_q):
     gaps, at_states = packed([duration], kind, path=log_q)
     mean, se, by_count = simulated(kind, duration, log_q, 1_000_000)
-    ours = float(gap_log_likelihood(gaps, at_states)[0])
+    ours = float(likelihood(gaps, at_states)[0])
     assert abs(ours - np.log(mean)) < 0.01 + 2 * se / mean
-    pmf = np.asarray(missed_pmf(gaps, at_states, 15)[0])
+    pmf = np.asarray(counts(gaps, at_states, 15)[0])
     assert pmf.sum() == pytest.approx(1.0, abs=1e-9)
     expected = np.zeros(16)
     expected[: len(by_count)] = by_count / by_count.sum()
     np.testing.assert_allclose(pmf, expected, atol=0.01)
-    assert float(missed_mean(gaps, at_states)[0]) == pytest.approx(pmf @ np.arange(16), abs=1e-8)
+    assert float(mean_count(gaps, at_states)[0]) == pytest.approx(pmf @ np.arange(16), abs=1e-8)
 
 
 @pytest.mark.parametrize("law", [uniform_law(0.0, 3.0), Table((0.5, 1, 4), (0, 1, 0))])
@@ -121,7 +126,7 @@ def test_other_laws_agree_with_simulation(law):
 
     gaps, at_states = packed([6.3], law=law, path=varying)
     mean, se, _ = simulated("inside", 6.3, varying, 200_000, law, draw)
-    ours = float(gap_log_likelihood(gaps, at_states)[0])
+    ours = float(likelihood(gaps, at_states)[0])
     assert abs(ours - np.log(mean)) < 0.015 + 4 * se / mean
 
 
@@ -132,13 +137,13 @@ def test_constant_q_agrees_with_sums_of_uniforms():
     gaps, log_q = packed(durations, law=law, path=constant(0.4))
     n = np.arange(15)[:, None]
     exact = np.sum(0.4**n * interval_sum_density(n, durations[None], schedule), axis=0)
-    np.testing.assert_allclose(gap_log_likelihood(gaps, log_q)[:4], np.log(exact), atol=0.02)
+    np.testing.assert_allclose(likelihood(gaps, log_q)[:4], np.log(exact), atol=0.02)
 
 
 def test_silence_is_certain_where_nobody_can_hear():
     for kind, value in (("after", 1.0), ("before", 1 / LAW.mean)):
         gaps, log_q = packed([3.3, 12.0, 20.0], kind)
-        found = np.exp(gap_log_likelihood(gaps, log_q)[:3])
+        found = np.exp(likelihood(gaps, log_q)[:3])
         np.testing.assert_allclose(found, value, rtol=1e-3)
 
 
@@ -172,7 +177,7 @@ def test_long_gaps_agree_with_the_exact_recursion():
         grid = grid_of(LAW)
         part, _ = exact_part([(0, gap)], LAW, grid, -(-needed(gap, LAW, grid) // grid.block), 1, 1)
         exact = Gaps((part,), np.zeros(1), np.zeros(1, bool), np.ones(1, bool), LAW)
-        ours, dense = gap_log_likelihood(gaps, log_q)[0], gap_log_likelihood(exact, log_q)[0]
+        ours, dense = likelihood(gaps, log_q)[0], likelihood(exact, log_q)[0]
         assert abs(float(ours - dense)) < 0.08
 
 
@@ -180,20 +185,20 @@ def test_very_long_gaps_stay_finite():
     for law in (LAW, Poisson(1.5), Stable(1.5, 0.02)):
         gaps, log_q = packed([6000.0], law=law, path=constant(0.3))
         assert len(log_q) <= 67
-        assert np.isfinite(gap_log_likelihood(gaps, log_q)[0])
-        assert 0 < float(missed_mean(gaps, log_q)[0]) < 6000
+        assert np.isfinite(likelihood(gaps, log_q)[0])
+        assert 0 < float(mean_count(gaps, log_q)[0]) < 6000
 
 
 def test_poisson_and_stable_closed_forms():
     law = Poisson(2.0)
     gaps, log_q = packed([7.0], law=law, path=constant(0.4))
-    assert float(gap_log_likelihood(gaps, log_q)[0]) == pytest.approx(np.log(0.5) - 0.5 * 7 * 0.6)
-    assert float(missed_mean(gaps, log_q)[0]) == pytest.approx(0.5 * 7 * 0.4)
+    assert float(likelihood(gaps, log_q)[0]) == pytest.approx(np.log(0.5) - 0.5 * 7 * 0.6)
+    assert float(mean_count(gaps, log_q)[0]) == pytest.approx(0.5 * 7 * 0.4)
     law = Stable(2.0, 0.1)
     gaps, log_q = packed([8.1], law=law, path=constant(0.4))
     m = np.arange(1, 8)
     exact = np.sum(0.4 ** (m - 1) * stats.norm.pdf(8.1, 2.0 * m, 0.1 * np.sqrt(m)))
-    assert float(gap_log_likelihood(gaps, log_q)[0]) == pytest.approx(np.log(exact))
+    assert float(likelihood(gaps, log_q)[0]) == pytest.approx(np.log(exact))
 
 
 @pytest.mark.parametrize("kind", ["inside", "after", "before"])
@@ -201,12 +206,12 @@ def test_draws_follow_the_simulated_times(kind):
     gaps, log_q = packed([6.4] * 1500, kind, path=varying)
     drawn = draw_missed(np.random.default_rng(2), gaps, log_q)
     n = np.array([len(t) for t in drawn])
-    pmf = np.asarray(missed_pmf(gaps, log_q, 8)[0])
+    pmf = np.asarray(counts(gaps, log_q, 8)[0])
     se = np.sqrt(pmf * (1 - pmf) / len(n))
     np.testing.assert_array_less(np.abs(np.bincount(n, minlength=9) / len(n) - pmf), 4 * se + 1e-3)
     assert all(np.all((np.diff(t) > 0.99) & (np.diff(t) < 2.01)) for t in drawn)
     # brute force: expected misses up to a time, from derivatives of the likelihood by state
-    by_state = jax.grad(lambda v: gap_log_likelihood(gaps, v)[0])(log_q)
+    by_state = jax.jit(jax.grad(lambda v: gap_log_likelihood(gaps, v)[0]))(log_q)
     nodes = gap_nodes(6.4, kind, LAW)
     hats = [np.interp(np.concatenate(drawn), nodes, row).sum() / 1500 for row in np.eye(len(nodes))]
     np.testing.assert_allclose(hats, by_state[: len(nodes)], atol=0.06)
@@ -216,12 +221,12 @@ def test_impossible_gap_has_the_floor_and_is_flagged():
     law = uniform_law(10.0, 12.0)
     gaps, log_q = packed([7.0, 15.0, 11.0, 22.0, 27.0], law=law, path=constant(0.5))
     assert list(gaps.impossible[:5]) == [True, True, False, False, True]
-    assert np.all(np.isfinite(gap_log_likelihood(gaps, log_q)))
+    assert np.all(np.isfinite(likelihood(gaps, log_q)))
 
 
 def test_padding_gives_nothing_and_shapes_can_be_shared():
     gaps, log_q = packed([4.4, 9.3], path=varying)
-    assert np.all(np.asarray(gap_log_likelihood(gaps, log_q))[2:] == 0)
+    assert np.all(np.asarray(likelihood(gaps, log_q))[2:] == 0)
     small = pack_gaps([], LAW, like=gaps)
     assert jax.tree.map(np.shape, small) == jax.tree.map(np.shape, gaps)
 
