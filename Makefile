@@ -49,8 +49,9 @@ test-extended: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) -m extended tests
 	$(BIN)/python -m pytest -n $(WORKERS) --nbmake --nbmake-timeout=600 $(LONG)
 
-test: lint
-	@$(MAKE) --no-print-directory pytest
+# side by side: one core would idle while the types are checked
+test: $(STAMP)
+	@$(MAKE) --no-print-directory -j2 lint pytest
 
 TRACK = $(BIN)/maloc track --receivers demo/data/receivers.csv --interval 20.6 36.6 --quiet
 

@@ -19,11 +19,11 @@ from tests.oracles import from_band
 # every movement with every error, every schedule twice
 OPTIONS = [
     ("ctcrw", "ddetect", "unknown", "given"),
-    ("ctcrw", "gaussian", "random", "estimated"),
     ("rw", "student", "stable", "given"),
     *[
         pytest.param(*options, marks=pytest.mark.extended)
         for options in (
+            ("ctcrw", "gaussian", "random", "estimated"),
             ("ctcrw", "student", "unknown", "given"),
             ("rw", "ddetect", "random", "given"),
             ("rw", "gaussian", "unknown", "estimated"),

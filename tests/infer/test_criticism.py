@@ -259,6 +259,7 @@ class TestCheckInputs:
         assert found["receiver positions"].suspect
         assert found["receiver positions"].receiver == "R2"
 
+    @pytest.mark.extended
     def test_an_estimated_sound_speed_is_not_checked(self):
         times, _, _ = cases.toa(pings=16)
         fit = maloc.infer.laplace(toa_track, times, sound_speed="estimated")

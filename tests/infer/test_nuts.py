@@ -153,6 +153,7 @@ def test_three_samplers_agree():
             assert np.abs((a.mean((0, 1)) - b.mean((0, 1))) / error).max() < LIMIT, (name, power)
 
 
+@pytest.mark.extended
 def test_a_model_of_a_user_s_own():
     """Poisson counts of a random walk, nothing of maloc in it: the same answer as plain NumPyro."""
     seen = jnp.asarray([3.0, 0, 1, 4, 7, 5, 2, 0, 1])

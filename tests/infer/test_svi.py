@@ -107,6 +107,7 @@ def test_known_parameters_are_exact():
     np.testing.assert_allclose(spread[:, 0, 1], 0.0, atol=1e-2)
 
 
+@pytest.mark.extended
 def test_many_fixes_against_quadrature():
     """Parameters too: with sixty fixes the guide holds nearly the whole posterior."""
     dt, observed = cases.fixes_data(length=60)

@@ -203,6 +203,7 @@ def test_padding_changes_nothing(name):
     np.testing.assert_allclose(np.diff(both), np.diff(less), rtol=1e-9)
 
 
+@pytest.mark.extended
 def test_plain_nuts_runs():
     name = "unknown_interval"
     sampler = MCMC(

@@ -1,6 +1,7 @@
 """Home-range movement in the models: what was simulated is found again."""
 
 import numpy as np
+import pytest
 from numpyro import handlers
 
 import maloc
@@ -50,6 +51,7 @@ def test_a_home_range_is_found_again():
     np.testing.assert_allclose(far.sd[0], wanted, rtol=0.1)
 
 
+@pytest.mark.extended
 def test_each_tag_has_its_own_home():
     toas = [arrivals(1, 25), arrivals(2, 25, home=np.array([-40.0, 30.0]), tag="B")]
     fit = maloc.infer.laplace(joint, toas, movement="ou", arrivals="gaussian", detection=None)

@@ -140,7 +140,11 @@ def test_auto_sound_speed_follows_the_data():
 
 @pytest.mark.parametrize(
     ("movement", "error", "schedule"),
-    [("ctcrw", "ddetect", "unknown"), ("ctcrw", "student", "random"), ("rw", "gaussian", "stable")],
+    [
+        ("ctcrw", "ddetect", "unknown"),
+        pytest.param("ctcrw", "student", "random", marks=pytest.mark.extended),
+        ("rw", "gaussian", "stable"),
+    ],
 )
 class TestDensity:
     def test_prior_simulates(self, movement, error, schedule):
