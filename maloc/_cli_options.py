@@ -18,10 +18,12 @@ __all__ = [
     "Quiet",
     "ReceiverTable",
     "Reference",
+    "Scheduler",
     "Seed",
     "TagTable",
     "Tags",
     "Toa",
+    "Workers",
     "Zone",
 ]
 
@@ -57,7 +59,10 @@ Detections = Annotated[
 Toa = Annotated[Path | None, typer.Option("--toa", help="Matrix of arrival times, one row a ping.")]
 Tags = Annotated[
     list[str] | None,
-    typer.Option("--tag", help="Tag; several times for several; all but sync tags if none."),
+    typer.Option(
+        "--tag",
+        help="Tag; several times for several; all: every one but sync tags, as if none is given.",
+    ),
 ]
 Reference = Annotated[
     str | None, typer.Option("--reference", help="Receiver whose clock is the common time.")
@@ -65,4 +70,12 @@ Reference = Annotated[
 IgnoreColumns = Annotated[
     str,
     typer.Option("--ignore-columns", metavar="A,B", help="Columns of the TOA matrix left alone."),
+]
+Workers = Annotated[
+    int,
+    typer.Option("--workers", min=1, help="Processes for several tags (needs maloc[parallel])."),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, in place of --workers."),
 ]

@@ -19,10 +19,12 @@ from maloc._cli_options import (
     Quiet,
     ReceiverTable,
     Reference,
+    Scheduler,
     Seed,
     Tags,
     TagTable,
     Toa,
+    Workers,
     Zone,
 )
 
@@ -116,13 +118,16 @@ def track(
     """Estimate tracks: positions of every ping with their uncertainty.
 
     Writes track.csv, arrivals.csv, parameters.csv, posterior.nc, map.png, diagnostics.png,
-    summary.json; where missed pings are summed out (--model detections or joint, with an interval),
-    missed.csv too. --model detections needs neither synchronised clocks nor fractions of a second.
+    summary.json; for several tags tags.csv, how each fared; where missed pings are summed out
+    (--model detections or joint, with an interval), missed.csv too. --model detections needs
+    neither synchronised clocks nor fractions of a second.
     """
     from maloc._load import TrackOptions
     from maloc._reading import Reading
     from maloc._run import run_track
 
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
     options = TrackOptions(
         detections=tuple(detections or ()),
         toa=toa,
@@ -151,7 +156,8 @@ def track(
         chains=chains,
         seed=seed,
     )
-    lines = run_track(options, out, force=force, quiet=quiet)
+    spread = {"workers": workers, "scheduler": scheduler}
+    lines = run_track(options, out, **spread, force=force, quiet=quiet)
     if not quiet:
         typer.echo("\n".join([*lines, f"written to {out}"]))
 

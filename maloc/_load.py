@@ -199,7 +199,7 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
                 schedule=options.schedule(),
                 tag=tag,
             )
-            for tag in (dict.fromkeys(options.tags) or [None])
+            for tag in _tags_of(options.toa, options.tags)
         ]
         if isinstance(given, Path):
             toas = [with_sound_speed(toa, given) for toa in toas]
@@ -214,6 +214,15 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
     from maloc.medium import with_sound_speed
 
     with log.stage("read"):
+def _tags_of(toa: Path, asked: tuple[str, ...]) -> list[str | None]:
+    """Tags of a matrix to fit: those named, or all it has; None where it names none."""
+    from maloc.data.readers.toa import tags_of
+
+    if "all" not in asked:
+        return list(dict.fromkeys(asked)) or [None]
+    return list(tags_of(toa)) or [None]
+
+
         detections = options.reading.detections(options.detections)
         log.report(detections.report)
         if not len(detections):
@@ -260,7 +269,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                     toa = toa.replace(clock_sd=sync.clock_sd(toa))
                 check_usable(toa)
             except InputError as problem:
-                if options.tags or len(tags) == 1:
+                if (options.tags and "all" not in options.tags) or len(tags) == 1:
                     raise
                 skipped[tag] = str(problem)
                 log.warn(f"{problem}; skipped")
@@ -309,7 +318,7 @@ def _with_rows(
 
 def tags_to_fit(options: TrackOptions, detections: Detections, receivers: Receivers) -> list[str]:
     """Full ids of the tags to fit: those named, or all that are not sync tags."""
-    if options.tags:
+    if options.tags and "all" not in options.tags:
         return list(dict.fromkeys(detections.find_tag(t) for t in options.tags))
     sync = sync_tags(detections, receivers)
     tags = [t for t in detections.tags if t not in sync]

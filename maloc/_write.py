@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,52 +13,121 @@ import numpy as np
 from maloc import _output
 
 if TYPE_CHECKING:
+    import polars as pl
     from matplotlib.figure import Figure
 
     from maloc._load import Source, TrackOptions
     from maloc._log import Log
     from maloc._run import Fitted
+    from maloc._tags_run import Done
+    from maloc.data.receivers import Receivers
 
-__all__ = ["file_name", "map_figure", "sampler_health", "summary", "write_track"]
+__all__ = [
+    "file_name",
+    "map_figure",
+    "sampler_health",
+    "summary",
+    "tags_table",
+    "write_tag",
+    "write_track",
+]
 
 LEGEND_ROWS = 3
 PNG = {"dpi": 110, "pil_kwargs": {"compress_level": 1}}  # quick to write; a little larger
 
 
-def write_track(
-    folder: Path, fitted: Sequence[Fitted], source: Source, options: TrackOptions, log: Log
-) -> None:
-    """Write all files of a finished `maloc track` into an empty folder.
+def write_tag(folder: Path, fitted: Fitted, receivers: Receivers, log: Log) -> dict[str, Any]:
+    """Write what one tag gives into a folder; what summary.json will say of it.
 
-    Tables hold all tags, one after the other. Draws and diagnostics are one file a tag where there
-    are several: ``posterior_<tag>.nc``, ``diagnostics_<tag>.png``.
+    Tables as Parquet, unrounded; posterior.nc; diagnostics.png.
     """
-    import polars as pl
-
     with log.stage("tables"):
-        tracks = [_output.finish_track(f.table, source.receivers, f.line) for f in fitted]
-        arrivals = [_output.arrivals_table(f.fit, f.toa) for f in fitted]
-        parameters = [_output.parameters_table(f.fit, f.toa.tag) for f in fitted]
-        for name, parts in (("track", tracks), ("arrivals", arrivals), ("parameters", parameters)):
-            _output.write_table(pl.concat(parts, how="diagonal_relaxed"), folder / f"{name}.csv")
-    several = len(fitted) > 1
+        track = _output.finish_track(fitted.table, receivers, fitted.line)
+        track.write_parquet(folder / "track.parquet")
+        _output.arrivals_table(fitted.fit, fitted.toa).write_parquet(folder / "arrivals.parquet")
+        parameters = _output.parameters_table(fitted.fit, fitted.toa.tag)
+        parameters.write_parquet(folder / "parameters.parquet")
     with log.stage("posterior"):
         from maloc.infer._export import write_posterior
 
-        for f in fitted:
-            path = folder / file_name("posterior", f.toa.tag, several, "nc")
-            write_posterior(f.fit, path, [f.toa.tag], f.toa.origin, f.toa.receivers.crs)
+        tag, origin, crs = fitted.toa.tag, fitted.toa.origin, fitted.toa.receivers.crs
+        write_posterior(fitted.fit, folder / "posterior.nc", [tag], origin, crs)
     with log.stage("figures"):
         from matplotlib.figure import Figure
 
-        shown = {f.toa.tag: table for f, table in zip(fitted, tracks, strict=True)}
-        lines = any(f.line is not None for f in fitted)
+        figure = diagnostics_figure(Figure, fitted, track)
+        figure.savefig(folder / "diagnostics.png", **PNG)
+    line = fitted.line
+    mirror = None if line is None else {"point": line.point, "direction": line.direction}
+    return {"tag": _tag_summary(fitted), "mirror": mirror}
+
+
+def write_track(
+    folder: Path, done: Sequence[Done], source: Source, options: TrackOptions, log: Log
+) -> None:
+    """Write all files of a finished `maloc track` into an empty folder, from those of its tags.
+
+    Tables hold all tags, one after the other. Draws and diagnostics are one file a tag where there
+    are several: ``posterior_<tag>.nc``, ``diagnostics_<tag>.png``; and ``tags.csv`` says how each
+    fared.
+    """
+    import polars as pl
+
+    several = len(done) > 1
+    fitted = [d for d in done if d.failed is None]
+    with log.stage("tables"):
+        for name in ("track", "arrivals", "parameters"):
+            parts = [pl.read_parquet(d.folder / f"{name}.parquet") for d in fitted]
+            _output.write_table(pl.concat(parts, how="diagonal_relaxed"), folder / f"{name}.csv")
+        if several:
+            _output.write_table(tags_table(done), folder / "tags.csv")
+    with log.stage("posterior"):
+        for d in fitted:
+            for stem, end in (("posterior", "nc"), ("diagnostics", "png")):
+                _same(d.folder / f"{stem}.{end}", folder / file_name(stem, d.name, several, end))
+    with log.stage("figures"):
+        from matplotlib.figure import Figure
+
+        shown = {d.name: pl.read_parquet(d.folder / "track.parquet") for d in fitted}
+        lines = any(d.record["mirror"] for d in fitted)
         figure = map_figure(Figure, shown, source.receivers, mirrored=lines)
         figure.savefig(folder / "map.png", **PNG)
-        for f, table in zip(fitted, tracks, strict=True):
-            path = folder / file_name("diagnostics", f.toa.tag, several, "png")
-            diagnostics_figure(Figure, f, table).savefig(path, **PNG)
-    _output.write_json(summary(fitted, source, options, log), folder / "summary.json")
+    _output.write_json(summary(done, source, options, log), folder / "summary.json")
+
+
+def tags_table(done: Sequence[Done]) -> pl.DataFrame:
+    """One row a tag: done or failed and why, what there was of it, CPU seconds."""
+    import polars as pl
+
+    rows = []
+    for d in done:
+        about = d.record.get("tag", {})
+        spent = d.record.get("seconds", {})
+        rows.append(
+            {
+                "tag": d.name,
+                "status": "failed" if d.failed else "done",
+                "pings": about.get("pings"),
+                "heard": about.get("heard"),
+                "arrivals_used": about.get("arrivals_used"),
+                "median_sd": d.record.get("median_sd"),
+                "cpu": spent.get("fit", {}).get("cpu"),
+                "warnings": "; ".join(about.get("warnings", [])),
+                "why": d.failed or "",
+            }
+        )
+    whole = ("pings", "heard", "arrivals_used")
+    types = {"tag": pl.String, "status": pl.String, **dict.fromkeys(whole, pl.Int64)}
+    types |= {"median_sd": pl.Float64, "cpu": pl.Float64, "warnings": pl.String, "why": pl.String}
+    return pl.DataFrame(rows, schema=types)
+
+
+def _same(source: Path, target: Path) -> None:
+    """The same file at another place, without a copy where the disk allows."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def file_name(stem: str, tag: str, several: bool, end: str) -> str:
@@ -129,7 +200,7 @@ def diagnostics_figure(figure_type: type[Figure], fitted: Fitted, table: Any) ->
 
 
 def summary(
-    fitted: Sequence[Fitted], source: Source, options: TrackOptions, log: Log
+    done: Sequence[Done], source: Source, options: TrackOptions, log: Log
 ) -> dict[str, Any]:
     """Return what summary.json holds."""
     read: dict[str, Any] = {"receivers": len(source.receivers)}
@@ -143,7 +214,7 @@ def summary(
         }
     else:
         read |= {
-            "detections": int(sum(f.toa.heard.sum() + len(f.toa.set_aside) for f in fitted)),
+            "detections": int(sum(a.heard.sum() + len(a.set_aside) for a in source.toas)),
             "format": "TOA matrix",
             "files": [str(options.toa)],
         }
@@ -154,9 +225,10 @@ def summary(
         "options": options.record(),
         "read": read,
         "sync": None if source.sync is None else _output.sync_record(source.sync),
-        "tags": {f.toa.tag or "track": _tag_summary(f) for f in fitted},
+        "tags": {d.name or "track": d.record["tag"] for d in done if d.failed is None},
+        "failed_tags": {d.name or "track": d.failed for d in done if d.failed is not None},
         "skipped_tags": source.skipped,
-        "mirror": _mirror_summary(fitted),
+        "mirror": _mirror_summary(done),
         "warnings": log.warnings,
         "notices": log.notices,
         "seconds": log.seconds,
@@ -210,12 +282,12 @@ def sampler_health(fit: Any) -> dict[str, Any] | None:
     }
 
 
-def _mirror_summary(fitted: Sequence[Fitted]) -> dict[str, Any] | None:
-    lines = {f.toa.tag or "track": f.line for f in fitted if f.line is not None}
+def _mirror_summary(done: Sequence[Done]) -> dict[str, Any] | None:
+    lines = {d.name or "track": d.record["mirror"] for d in done if d.record.get("mirror")}
     if not lines:
         return None
     return {
         "meaning": "the receivers that heard the tag stand on one line: each position has a "
         "mirror image that fits as well, given as mirror_x, mirror_y in track.csv",
-        "lines": {tag: {"point": v.point, "direction": v.direction} for tag, v in lines.items()},
+        "lines": lines,
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,18 @@ from maloc.data.arrivals import (
 )
 from maloc.data.readers import _clock
 from maloc.data.readers._columns import TOA, locate, plain, unnamed
-from maloc.data.readers._text import Table, from_frame
+from maloc.data.readers._text import Table, from_frame, read_table
 from maloc.data.receivers import Receivers, collinear
 from maloc.data.report import Note, ReadReport
 
-__all__ = ["DEFAULT_SOUND_SPEED", "UNIX_FROM_S", "matches", "toa_from_frame", "toa_from_table"]
+__all__ = [
+    "DEFAULT_SOUND_SPEED",
+    "UNIX_FROM_S",
+    "matches",
+    "tags_of",
+    "toa_from_frame",
+    "toa_from_table",
+]
 
 UNIX_FROM_S = 1e8  # larger than this is taken for Unix seconds (1973 on)
 
@@ -34,6 +42,13 @@ def matches(table: Table, receivers: Receivers | None = None) -> bool:
         return True
     names = set() if receivers is None else set(receivers.names) | set(receivers.labels)
     return "ping" in simple or len(names & set(table.columns)) > 1
+
+
+def tags_of(path: Path) -> list[str]:
+    """Return the tags that a matrix of arrival times has rows of, in order."""
+    table = read_table(path)
+    k = locate(table, TOA).get("tag")
+    return [] if k is None else table.text(k).drop_nulls().unique(maintain_order=True).to_list()
 
 
 def toa_from_frame(df: pl.DataFrame, receivers: Receivers, **options: Any) -> ArrivalTimes:
