@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         simulate,
         statespace,
         sync,
+        tags,
     )
     from maloc.data import (
         ArrivalHistory,
@@ -90,6 +91,7 @@ __all__ = [
     "simulate",
     "statespace",
     "sync",
+    "tags",
     "toa_matrix",
 ]
 
@@ -116,6 +118,7 @@ if not TYPE_CHECKING:
             "simulate",
             "statespace",
             "sync",
+            "tags",
         ]
     )
 

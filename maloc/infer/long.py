@@ -21,11 +21,12 @@ from maloc._stages import Stages
 from maloc.data.model_data import ToaData
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
+from maloc.infer._slant import put_depth
 from maloc.infer._stretches import straighten
 from maloc.infer._windows import SIZE, Windows, cut, padded
 from maloc.infer.initial import _column, _middle, _nearest, put_positions, repair
 from maloc.infer.marginal import MarginalFit, _Marginal
-from maloc.infer.mode import anneal
+from maloc.infer.mode import _factor, anneal, find_mode
 from maloc.infer.result import LaplaceFit
 
 __all__ = ["LONG", "LongFit", "fit_long", "long_arguments"]
@@ -35,7 +36,7 @@ _BLOCKS = 8  # windows that the parameters start from
 _MARGIN = 16  # part of a window, at either end, that is the neighbours'
 _CLOSER = 3.0  # from one error scale of the annealing to the next
 _DRAWN = 20_000_000  # numbers in all draws of the path, 160 MB
-_FEW = 0.05  # log units; parameters' steps that promise less are not taken
+_SURE = 2.0  # log units; a step of the parameters that promises less is the last
 
 
 class LongFit(LaplaceFit):
@@ -154,6 +155,7 @@ def _window(cm: ChainModel, args: tuple, u: np.ndarray, positions, path) -> np.n
         xy = np.broadcast_to(_middle(data), (len(x), 2)) if positions is None else positions
         xy = np.concatenate([xy, np.repeat(xy[-1:], len(x) - len(xy), axis=0)])
         put_positions(cm, x, xy)
+        put_depth(cm, x, data)
         emission = _column(cm, "emission")
         assert emission is not None
         x[:, emission] = -_nearest(data, xy)
@@ -173,29 +175,28 @@ def _newton(windows: Any, x: np.ndarray, start: _Start, n: int) -> MarginalFit:
     spread = np.sqrt(np.diag(start.precision))
     shape = start.precision / np.outer(spread, spread)
     marginal = _Marginal(windows, (), x, np.sqrt(start.states / n) / spread)
-    u, evaluations = start.u, 0
-    while True:
+    u, gain, evaluations = start.u, np.inf, 0
+    while gain > _SURE and evaluations < 4:
         point = marginal(u)
         evaluations += 1
         size = np.sqrt(np.maximum(point.curvature, (0.1 * spread) ** 2))
         covariance = np.linalg.inv(shape * np.outer(size, size))
         step = -covariance @ point.gradient
         gain = -0.5 * float(step @ point.gradient)
-        small = gain < _FEW
-        if small or evaluations == 4:
-            break
         u = u + step
         ahead = point.mode.x + np.einsum("k,ktd->td", step, point.slope)
         marginal.best = point._replace(mode=point.mode._replace(x=ahead))
+    mode = find_mode(windows, (), ahead, u, max_steps=25, tol=1e-5)
+    factor = _factor(windows.terms(mode.x, u, (), 0.0, False)[2], windows.d)
     return MarginalFit(
-        x=point.mode.x,
+        x=mode.x,
         u=u,
-        value=point.value,
-        factor=point.factor,
+        value=mode.value + 0.5 * factor.log_det,
+        factor=factor,
         slope=point.slope,
         covariance=covariance,
         evaluations=evaluations,
-        converged=bool(small and point.mode.converged),
+        converged=bool(gain < _SURE and mode.converged),
     )
 
 

@@ -18,6 +18,7 @@ from maloc.infer._guide import Guide, laplace_frame, moved, still, whitening
 from maloc.infer._map import WhiteningMap
 from maloc.infer.laplace import laplace
 from maloc.infer.result import Fit, LaplaceFit
+from maloc.infer.trust import k_hat
 
 __all__ = ["SviFit", "svi"]
 
@@ -32,6 +33,7 @@ def svi(
     particles: int = 8,
     draws: int = 1000,
     seed: int = 0,
+    checks: int = _CHECKS,
     progress: bool = True,
     path: tuple[str, ...] | None = None,
     positions: np.ndarray | str | None = None,
@@ -56,6 +58,8 @@ def svi(
         Draws a step, an even number.
     draws, seed : int
         Posterior draws that the fit's outputs are made of, and their seed.
+    checks : int
+        Draws that the bound, and `SviFit.k_hat`, are worked out from at the end.
     progress : bool
         Show a progress bar on stderr.
     path, positions, **options
@@ -109,7 +113,7 @@ def svi(
             warnings.append("interrupted: what has been learnt so far is kept")
         by = state.average if float(state.weight) else state.by
         guide = moved(frame, by)
-        white = jax.random.normal(keys[-1], (_CHECKS, cm.k + guide.x.size))
+        white = jax.random.normal(keys[-1], (checks, cm.k + guide.x.size))
         bound = np.asarray(engine.bounds(guide, white, data))
     history = Seen(*(np.concatenate(part) for part in zip(*seen, strict=True)))
     warnings += _unsettled(history, bound, white.shape[1])
@@ -129,6 +133,8 @@ class SviFit(Fit):
         Evidence lower bound (log units, all constants included) and its Monte Carlo error.
     history : (steps,) array
         The bound as it was climbed, at each step's draws.
+    log_ratios : (checks,) array
+        Log of the model's density over the guide's, at draws of the guide.
     """
 
     method = "svi"
@@ -139,6 +145,7 @@ class SviFit(Fit):
         super().__init__(cm, args, options, seconds, warnings)
         self.guide, self.history, self.n, self.seed = guide, history, n, seed
         bound = bound[np.isfinite(bound)]
+        self.log_ratios = bound
         self.elbo = float(np.mean(bound))
         self.elbo_error = float(np.std(bound, ddof=1) / np.sqrt(len(bound)))
 
@@ -165,6 +172,11 @@ class SviFit(Fit):
         moving = np.einsum("kl,ktd->ltd", np.asarray(g.c), np.asarray(g.b))
         spread = np.einsum("lti,ltj->tij", moving, moving)
         return np.asarray(g.x)[:length], (given + spread)[:length]
+
+    @property
+    def k_hat(self) -> float:
+        """Pareto shape of the importance ratios, see `maloc.infer.trust.k_hat`."""
+        return k_hat(self.log_ratios)
 
     def mapping(self) -> WhiteningMap:
         """Whitening map for `nuts`."""
