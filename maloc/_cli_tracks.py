@@ -111,6 +111,8 @@ def track(
     tag_table: TagTable = None,
     draws: Annotated[int, typer.Option(min=1, help="Posterior draws a chain.")] = 1000,
     chains: Annotated[int, typer.Option(min=2, help="Chains of a sampler.")] = 2,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
@@ -126,8 +128,6 @@ def track(
     from maloc._reading import Reading
     from maloc._run import run_track
 
-    workers: Workers = 1,
-    scheduler: Scheduler = None,
     options = TrackOptions(
         detections=tuple(detections or ()),
         toa=toa,

@@ -209,11 +209,6 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
     return Source(toas, receivers, None, None, {})
 
 
-def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
-    from maloc.data import toa_matrix
-    from maloc.medium import with_sound_speed
-
-    with log.stage("read"):
 def _tags_of(toa: Path, asked: tuple[str, ...]) -> list[str | None]:
     """Tags of a matrix to fit: those named, or all it has; None where it names none."""
     from maloc.data.readers.toa import tags_of
@@ -223,6 +218,11 @@ def _tags_of(toa: Path, asked: tuple[str, ...]) -> list[str | None]:
     return list(tags_of(toa)) or [None]
 
 
+def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
+    from maloc.data import toa_matrix
+    from maloc.medium import with_sound_speed
+
+    with log.stage("read"):
         detections = options.reading.detections(options.detections)
         log.report(detections.report)
         if not len(detections):

@@ -21,8 +21,8 @@ from maloc.errors import FitError, InputError
 if TYPE_CHECKING:
     import polars as pl
 
-    from maloc.data import ArrivalTimes, Receivers
     from maloc._tags_run import Done
+    from maloc.data import ArrivalTimes, Receivers
     from maloc.sync import ClockSync
 
 __all__ = ["Fitted", "fit_tag", "run_sync", "run_track", "tag_files"]
@@ -99,9 +99,9 @@ def fit_tag(
             )
     for name, spent in fit.seconds.items():
         log.seconds.add(f"fit: {name}", spent["wall"], spent["cpu"])
-    for text in fit.warnings:
     for text in getattr(fit, "notices", ()):
         log.notice(f"tag {toa.tag}: {text}" if toa.tag else text)
+    for text in fit.warnings:
         log.warn(f"tag {toa.tag}: {text}" if toa.tag else text)
     with log.stage("tables"):
         table = track_table(fit, toa, options.seed)
@@ -113,7 +113,6 @@ def fit_tag(
     return Fitted(toa, fit, table, line)
 
 
-def run_track(
 def tag_files(
     toa: ArrivalTimes, options: TrackOptions, receivers: Receivers, water: tuple, quiet: bool
 ) -> dict[str, bytes]:
@@ -139,6 +138,7 @@ def tag_files(
         return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
+def run_track(
     options: TrackOptions,
     out: Path,
     *,
@@ -149,10 +149,10 @@ def tag_files(
 ) -> list[str]:
     """Do all of `maloc track`; nothing is written unless everything worked.
 
-    Returns
     Of several tags those that are done are kept beside `out` until all are, so that a run that was
     stopped goes on where it was; and one that fails does not keep the others from being written.
 
+    Returns
     -------
     list of str
         One line a tag: what was found.
@@ -169,12 +169,12 @@ def tag_files(
     if options.model in ("detections", "joint"):
         from maloc._run_encounters import run_encounters
 
-        return run_encounters(options, out, force=force, quiet=quiet)
         if workers > 1 or scheduler is not None:
             raise InputError(f"--model {options.model} fits all tags together: leave --workers out")
+        return run_encounters(options, out, force=force, quiet=quiet)
     check_free(out, force)
-    log = Log(quiet)
     out = Path(out).absolute()
+    log = Log(quiet)
     with log.listening():
         source = load(options, log)
         water = read_shore(options, source.receivers, log)
@@ -262,12 +262,12 @@ def _line(fitted: Fitted) -> str:
     )
 
 
-def run_sync(
 def _median_sd(fitted: Fitted) -> float:
     heard = fitted.table.filter(fitted.table["heard"])
     return float(np.median(heard.select("sd_x", "sd_y").to_numpy()))
 
 
+def run_sync(
     detections: Sequence[Path],
     receivers: Path,
     out: Path,
