@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks import engine, gps, svi, tracks
+from benchmarks import engine, gps, long, svi, tags, tracks
 
 
 def test_simulated_tracks_are_fitted_and_scored(monkeypatch, capsys):
@@ -71,3 +71,20 @@ def test_svi_beside_nuts(monkeypatch, capsys):
     median = next(s for s in part if "states" in s).split()[5]
     assert float(median.rstrip(",")) < 0.2
     assert said.count("ratio of sd: median") == 2
+
+
+@pytest.mark.extended
+def test_long_tracks_and_their_seams(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["long", "--pings", "40", "--seams", "2100"])
+    long.main()
+    said = capsys.readouterr().out
+    assert "  yes" in said and "0 states beyond .05 sd" in said
+
+
+@pytest.mark.extended
+def test_many_tags_killed_and_gone_on_with(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["tags", "--workers", "2", "--kill", "4"])
+    tags.main()
+    said = capsys.readouterr().out
+    assert "recomputed 0 of them" in said
+    assert "tables the same: track.csv, arrivals.csv, parameters.csv" in said
