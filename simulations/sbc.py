@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -103,17 +104,24 @@ def design(pings: int = 24, step: float = 30.0, spread: float = 100.0) -> ToaDat
     return dataclasses.replace(data, **near)
 
 
-def draw_truth(key, model: Callable, data, site: str, **options) -> tuple[dict, np.ndarray]:
-    """Latent values from the model's prior, and a draw of the observed ``site`` from its law."""
-    key_latent, key_site = jax.random.split(key)
-    seeded = handlers.seed(model, key_latent)
-    trace = handlers.trace(seeded).get_trace(data, **options)
+@functools.partial(jax.jit, static_argnames=("model", "observed", "options"))
+def prior_draw(key, data, *, model: Callable, observed: tuple[str, ...], options: tuple = ()):
+    """Latent values from the model's prior, and the laws of the ``observed`` sites given them."""
+    trace = handlers.trace(handlers.seed(model, key)).get_trace(data, **dict(options))
     truth = {
-        name: np.asarray(site["value"])
+        name: site["value"]
         for name, site in trace.items()
         if site["type"] == "deterministic" or (site["type"] == "sample" and not site["is_observed"])
     }
-    return truth, trace[site]["fn"].sample(key_site)
+    return truth, {name: trace[name]["fn"] for name in observed}
+
+
+def draw_truth(key, model: Callable, data, site: str, **options) -> tuple[dict, np.ndarray]:
+    """Latent values from the model's prior, and a draw of the observed ``site`` from its law."""
+    key_latent, key_site = jax.random.split(key)
+    some = tuple(options.items())
+    truth, laws = prior_draw(key_latent, data, model=model, observed=(site,), options=some)
+    return {k: np.asarray(v) for k, v in truth.items()}, laws[site].sample(key_site)
 
 
 def simulate(key, model: Callable, data: ToaData, **options) -> tuple[dict, ToaData]:

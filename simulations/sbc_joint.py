@@ -18,7 +18,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import numpyro.distributions as dist
-from numpyro import handlers
 
 import maloc.infer
 from maloc._jax import jax, jnp
@@ -59,13 +58,10 @@ def design(silence: str) -> JointData:
 def simulate(key, model, data: JointData) -> tuple[dict, JointData]:
     """Draw latent values from the prior, who hears each ping, and when."""
     key_latent, key_heard, key_arrival = jax.random.split(key, 3)
-    trace = handlers.trace(handlers.seed(model, key_latent)).get_trace(data, **OPTIONS)
-    truth = {
-        name: np.asarray(site["value"])
-        for name, site in trace.items()
-        if site["type"] == "deterministic" or (site["type"] == "sample" and not site["is_observed"])
-    }
-    law = trace["encounter"]["fn"].base_dist
+    how = {"observed": ("encounter", "arrival"), "options": tuple(OPTIONS.items())}
+    truth, laws = sbc.prior_draw(key_latent, data, model=model, **how)
+    truth = {name: np.asarray(value) for name, value in truth.items()}
+    law = laws["encounter"].base_dist
     if data.silence == "given":
         heard = law.sample(key_heard)
     else:
@@ -75,7 +71,7 @@ def simulate(key, model, data: JointData) -> tuple[dict, JointData]:
             if not again.any():
                 break
             heard = np.where(again[:, None], np.asarray(law.law.sample(key_again)), heard)
-    arrivals = trace["arrival"]["fn"].sample(key_arrival)
+    arrivals = laws["arrival"].sample(key_arrival)
     heard = jnp.asarray(heard)
     encounters = dataclasses.replace(data.encounters, heard=heard)
     ranges = jnp.where(heard, arrivals, 0.0)

@@ -5,7 +5,7 @@ import pytest
 from numpyro import handlers
 from scipy.stats import chi2
 
-from maloc._jax import jax, jnp
+from maloc._jax import jax
 from maloc.models import toa_track
 from simulations import sbc
 
@@ -63,11 +63,15 @@ def test_simulated_arrivals_follow_the_law():
 
     model, data = sbc.with_priors(toa_track, sbc.PRIORS), sbc.design()
     place = []
+
+    @jax.jit
+    def cdf(truth, heard):
+        trace = handlers.trace(handlers.substitute(model, data=truth)).get_trace(heard)
+        return trace["arrival"]["fn"].base_dist.cdf(heard.range)
+
     for key in jax.random.split(jax.random.key(0), 20):
         truth, heard = sbc.simulate(key, model, data)
-        values = {k: jnp.asarray(v) for k, v in truth.items()}
-        trace = handlers.trace(handlers.substitute(model, data=values)).get_trace(heard)
-        place.append(np.asarray(trace["arrival"]["fn"].base_dist.cdf(heard.range)).ravel())
+        place.append(np.asarray(cdf(truth, heard)).ravel())
         assert truth["position"].shape == (24, 2)
     assert kstest(np.concatenate(place), "uniform").pvalue > 1e-6
 
