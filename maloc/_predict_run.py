@@ -113,8 +113,8 @@ def draws_table(tracks: TrackDraws) -> pl.DataFrame:
     Returns
     -------
     polars.DataFrame
-        tag, draw (from 1), time (UTC, null where there is no date), t (s), x, y (m) and, where the
-        movement has velocities, vx, vy (m/s).
+        tag, draw (from 1), time (UTC, null where there is no date), t (s), x, y (m), depth z (m)
+        of a track that has it and, where the movement has velocities, vx, vy (m/s).
     """
     import numpy as np
     import polars as pl
@@ -134,8 +134,8 @@ def draws_table(tracks: TrackDraws) -> pl.DataFrame:
         "x": tracks.position[..., 0].ravel(),
         "y": tracks.position[..., 1].ravel(),
     }
-    if tracks.position.shape[2] == 3:
-        columns["z"] = tracks.position[..., 2].ravel()
+    if tracks.depth is not None:
+        columns["z"] = tracks.depth.ravel()
     if tracks.velocity is not None:
         columns |= {"vx": tracks.velocity[..., 0].ravel(), "vy": tracks.velocity[..., 1].ravel()}
     return pl.DataFrame(columns)

@@ -51,7 +51,9 @@ def bottom_at(water: DepthData, position):
 def depth_of(path, bottom):
     """Depths (...) m of z (...) m where the water is so deep (m)."""
     soft = _SOFT * bottom
-    return soft * (jax.nn.softplus(path / soft) - jax.nn.softplus((path - bottom) / soft))
+    # NumPy where nothing is JAX's: JAX would compile anew for every shape
+    xp: Any = jnp if isinstance(path, jax.Array) else np
+    return soft * (xp.logaddexp(0.0, path / soft) - xp.logaddexp(0.0, (path - bottom) / soft))
 
 
 def path_at(depth: np.ndarray, bottom: np.ndarray | float) -> np.ndarray:

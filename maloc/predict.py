@@ -101,7 +101,9 @@ def _read(file: Path) -> list[StoredTrack]:
     import xarray as xr
 
     from maloc import movement
+    from maloc.depth import DepthPath
     from maloc.infer._bridge import PathDraws
+    from maloc.infer._depths import DepthDraws
     from maloc.infer.predict import in_order
 
     def group(name: str | None):
@@ -123,7 +125,7 @@ def _read(file: Path) -> list[StoredTrack]:
     clock = np.broadcast_to(_time(law["time"]), track.shape[:2])
     if told.any():
         clock = np.where(told, _flat(posterior["emission_time"].values), clock)
-    water = _stored_water(file)
+    water, deep = _stored_water(file), _stored_depth(file)
     names = np.atleast_1d(about.get("tags", [""])).tolist()
     origin = int(about["origin"]) if "origin" in about else None
     out = []
@@ -131,7 +133,18 @@ def _read(file: Path) -> list[StoredTrack]:
         mine = np.flatnonzero(law["tag"].values == k)
         scale = {name: _flat(law[name].values)[:, k] for name in kind.scale_names}
         home = _flat(law["centre"].values)[:, k] if "centre" in law else None
-        path = PathDraws(kind, scale, in_order(clock[:, mine]), state[:, mine], home, water)
+        own = in_order(clock[:, mine])
+        depth = None
+        if deep is not None:
+            path = None
+            if "depth_path" in posterior:
+                z = _flat(posterior["depth_path"].values)[:, mine, None]
+                how = {n: _flat(law[f"depth_{n}"].values)[:, k] for n in DepthPath.scale_names}
+                centre = _flat(law["depth_centre"].values)[:, k]
+                path = PathDraws(movement.OU, how, own, z, centre)
+            known = np.asarray(deep.observed)[mine]
+            depth = DepthDraws(path, deep, np.median(own, axis=0), known)
+        path = PathDraws(kind, scale, own, state[:, mine], home, water, depth)
         name = str(names[k]) if k < len(names) else str(k)
         out.append(StoredTrack(name, path, posterior.attrs["method"], origin, about.get("crs")))
     return out
@@ -151,6 +164,23 @@ def _stored_water(file: Path):
         parts = {str(name): np.asarray(value.values) for name, value in found.items()}
 
     return Water(**parts)
+
+
+def _stored_depth(file: Path):
+    """Bottom and known depths of a track that has depth, or None."""
+    import h5netcdf
+    import xarray as xr
+
+    with h5netcdf.File(file, "r") as stored:
+        if "depth" not in stored.groups:
+            return None
+    from maloc.data.depth_data import DepthData
+
+    with xr.open_dataset(file, group="depth", engine="h5netcdf") as found:
+        parts: dict[str, Any] = {str(name): np.asarray(v.values) for name, v in found.items()}
+        sd, known = np.asarray(found.attrs["sd"]), bool(found.attrs["known"])
+    initial, grid = parts["observed"], parts.pop("grid", None)
+    return DepthData(**parts, grid=grid, sd=sd, initial=initial, known=known)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
@@ -186,8 +216,9 @@ def prediction_table(track: StoredTrack, times: np.ndarray, seed: int = 0) -> pl
     -------
     polars.DataFrame
         tag, time (ISO 8601 UTC or null), t (the input's seconds), x, y, sd_x, sd_y (m), cov_xy
-        (m2), x_lo, x_hi, y_lo, y_hi (central 95 %: of draws, or of a Laplace fit's normal law), vx,
-        vy, sd_vx, sd_vy (m/s) where the movement has velocities, within (between the first ping and
+        (m2), x_lo, x_hi, y_lo, y_hi (central 95 %: of draws, or of a Laplace fit's normal law), the
+        depth z and sd_z (m) of a track that has it, vx, vy, sd_vx, sd_vy (m/s) where the movement
+        has velocities, within (between the first ping and
         the last), and longitude, latitude where the frame is known.
     """
     import polars as pl
@@ -208,8 +239,8 @@ def prediction_table(track: StoredTrack, times: np.ndarray, seed: int = 0) -> pl
     columns |= {"cov_xy": found.covariance[:, 0, 1]}
     columns |= {"x_lo": low[:, 0], "x_hi": high[:, 0], "y_lo": low[:, 1], "y_hi": high[:, 1]}
     order, axes = track.path.state.shape[2:]
-    if axes == 3:
-        columns |= {"z": found.mean[:, 2], "sd_z": sd[:, 2]}
+    if found.depth is not None:
+        columns |= {"z": found.depth, "sd_z": found.depth_sd}
     if order == 2:
         columns |= {"vx": found.mean[:, axes], "vy": found.mean[:, axes + 1]}
         columns |= {"sd_vx": sd[:, axes], "sd_vy": sd[:, axes + 1]}

@@ -35,7 +35,8 @@ def depth(data, position, tag=None, n_tags: int = 1):
     path = numpyro.sample("depth_path", DepthPath(data.dt, sd, t05, centre, tag=tag))
     found = numpyro.deterministic("depth", depth_of(path[:, 0], bottom_at(water, position)))
     sensor = PressureSensor(found, water.sd)
-    numpyro.sample("depth_sensor", sensor.mask(water.sensed), obs=water.observed)
+    own = {"per_state": True}
+    numpyro.sample("depth_sensor", sensor.mask(water.sensed), obs=water.observed, infer=own)
     return water.square(found)
 
 

@@ -45,22 +45,22 @@ class WaterColumn:
 
 
 def flat_warning(toa: Any) -> str | None:
-    """What a track without depth leaves out, where receivers' depths or the tag's are known.
+    """What a flat track leaves out where the receivers that heard the tag differ in depth.
 
     Parameters
     ----------
-    toa : ArrivalTimes
-        Or anything else: None is returned.
+    toa : ArrivalTimes or ArrivalHistory
+        Of anything else nothing is known: None.
     """
-    receivers = getattr(toa, "receivers", None)
-    if receivers is None or getattr(toa, "column", None) is not None:
+    toa = getattr(toa, "toas", (toa,))[0]
+    if not hasattr(toa, "column") or toa.column is not None:
         return None
-    depth = receivers.depth[np.isfinite(receivers.depth)]
+    depth = toa.receivers.depth[toa.heard.any(axis=0) & np.isfinite(toa.receivers.depth)]
     if len(depth) and np.ptp(depth) > _TELL:
         down = float(np.ptp(depth))
         long = float(np.hypot(100.0, down) - 100.0)
         return (
             f"receivers' depths differ by up to {down:.3g} m ({depth.min():.3g} to "
-            f"{depth.max():.3g}) and the track is flat: a range of 100 m is up to {long:.2g} m off"
+            f"{depth.max():.3g}) and the track is flat: at 100 m a range is up to {long:.2g} m off"
         )
     return None

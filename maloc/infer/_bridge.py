@@ -40,6 +40,8 @@ class PathDraws(NamedTuple):
         What positions are pulled to (m), where the law knows it.
     water : Water, optional
         Positions are what it makes of the path's: off the land.
+    depth : DepthDraws, optional
+        The depth, where the track has one.
     """
 
     law: Any
@@ -48,12 +50,15 @@ class PathDraws(NamedTuple):
     state: np.ndarray
     home: np.ndarray | None = None
     water: Any = None
+    depth: Any = None
 
     def take(self, which) -> PathDraws:
         """Some of the draws."""
         scale = {k: v[which] for k, v in self.scale.items()}
         home = None if self.home is None else self.home[which]
-        return PathDraws(self.law, scale, self.clock[which], self.state[which], home, self.water)
+        depth = None if self.depth is None else self.depth.take(which)
+        state = self.state[which]
+        return PathDraws(self.law, scale, self.clock[which], state, home, self.water, depth)
 
 
 class Between(NamedTuple):

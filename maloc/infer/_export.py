@@ -46,9 +46,9 @@ def _groups(fit: Fit) -> dict:
     coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
     groups = {"posterior": xr.Dataset(variables, coords, attrs)}
     pointwise = fit.pointwise()
-    each = "detection" if along == "ping" else None
+    each = {"arrival": "detection"} if along == "ping" else {}
     groups["log_likelihood"] = xr.Dataset(
-        {k: (("chain", "draw", each or f"{k}_value"), v) for k, v in pointwise.items()},
+        {k: (("chain", "draw", each.get(k, f"{k}_value")), v) for k, v in pointwise.items()},
         coords,
         attrs,
     )
@@ -143,6 +143,8 @@ def to_datatree(fit: Fit):
         groups["/movement"] = movement
     if fit.water is not None:
         groups["/water"] = _water(fit.water)
+    if (depth := getattr(fit.args[0], "depth", None) if fit.args else None) is not None:
+        groups["/depth"] = _depth(depth, fit.n_states)
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs={"creator": "maloc"}), **groups})
 
 
@@ -168,10 +170,12 @@ def _movement(fit: Fit):
         "told": (("state",), told),
         "tag": (("state",), tag),
     }
-    for name in (*site.law.scale_names, "centre"):
+    deep = [f"depth_{name}" for name in (*predict.DepthPath.scale_names, "centre")]
+    for name in (*site.law.scale_names, "centre", *deep):
         if name in read:
-            value = predict.by_tag(read[name], first, name == "centre")
-            dims = ("chain", "draw", "which", "axis")[: value.ndim + 1]
+            value = predict.by_tag(read[name], first, name.endswith("centre"))
+            axis = "down" if name == "depth_centre" else "axis"
+            dims = ("chain", "draw", "which", axis)[: value.ndim + 1]
             variables[name] = (dims, value.reshape(*lead, *value.shape[1:]))
     return xr.Dataset(variables, attrs={"law": site.law.__name__, "path": site.name})
 
@@ -183,6 +187,23 @@ def _water(water):
     dims = {"field": ("part", "row", "column"), "origin": ("axis",)}
     parts = dataclasses.asdict(water)
     return xr.Dataset({k: (dims.get(k, ()), np.asarray(v)) for k, v in parts.items()})
+
+
+def _depth(depth, n: int):
+    """Bottom and known depths that a prediction needs."""
+    import xarray as xr
+
+    variables = {
+        "observed": (("state",), np.asarray(depth.observed)[:n]),
+        "sensed": (("state",), np.asarray(depth.sensed)[:n]),
+        "receiver": (("deployment",), np.asarray(depth.receiver)),
+        "bottom": ((), np.asarray(depth.bottom)),
+        "origin": (("axis",), np.asarray(depth.origin)),
+        "step": ((), np.asarray(depth.step)),
+    }
+    if depth.grid is not None:
+        variables["grid"] = (("row", "column"), np.asarray(depth.grid))
+    return xr.Dataset(variables, attrs={"known": int(depth.known), "sd": float(depth.sd)})
 
 
 def write_posterior(

@@ -56,7 +56,11 @@ def grid_paths(
     cell = np.sqrt(np.prod(high - low) / _CELLS)
     axes = [np.arange(a + cell / 2, b, cell) for a, b in zip(low, high, strict=True)]
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    away = np.sqrt(((cells[:, None] - xy) ** 2).sum(-1) + 0.25)
+    away = ((cells[:, None] - xy) ** 2).sum(-1) + 0.25
+    if data.depth is not None:  # one depth for all: a start needs no better
+        deep = np.mean(np.asarray(data.depth.initial), keepdims=True)
+        away = away + np.asarray(data.depth.square(deep))
+    away = np.sqrt(away)
     score = _arrival_scores(data, away, np.hypot(sigma, 0.3 * cell), emission)
     if log_miss is not None:
         heard = np.asarray(data.heard)

@@ -53,7 +53,11 @@ def expected_hearing(fit: Fit, history: EncounterHistory) -> Expected:
     draws, keep = flat_draws(fit)
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
     rows = history.n_heard > 0
-    position = draws["position"][keep][:, states[rows]]
+    position, at = draws["position"][keep][:, states[rows]], history.receivers.xy
+    if "depth" in draws:  # slant ranges
+        deep = draws["depth"][keep][:, states[rows], None]
+        position = np.concatenate([position, deep], axis=2)
+        at = np.column_stack([at, history.receivers.depth])
     kind = fit.options.get("detection", "halfnormal")
     p0, scale = draws["p0"][keep], draws["scale"][keep]
     shape = draws["shape"][keep] if "shape" in draws else None
@@ -66,11 +70,11 @@ def expected_hearing(fit: Fit, history: EncounterHistory) -> Expected:
     listening = history.listening[rows]
     expected = np.zeros(len(history.receivers))
     for d in range(len(keep)):
-        away = np.linalg.norm(position[d][:, None] - history.receivers.xy[None], axis=-1)
+        away = np.linalg.norm(position[d][:, None] - at[None], axis=-1)
         p = np.where(listening, probability(away, d), 0.0)
         somebody = -np.expm1(np.log1p(-np.minimum(p, 1 - 1e-12)).sum(axis=1))
         expected += (p / np.maximum(somebody, 1e-12)[:, None]).sum(axis=0) / len(keep)
-    away = np.linalg.norm(position.mean(0)[:, None] - history.receivers.xy[None], axis=-1)
+    away = np.linalg.norm(position.mean(0)[:, None] - at[None], axis=-1)
     top = min(float(away[listening].max()), 5 * float(np.median(scale)))
     distance = np.linspace(0.0, top, 61)
     curves = np.array([probability(distance[None], d)[0] for d in range(len(keep))])

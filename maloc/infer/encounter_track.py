@@ -15,6 +15,7 @@ from maloc import signal
 from maloc.data._encounter_gaps import Silence, find_gaps, most_missed
 from maloc.data.encounters import EncounterHistory
 from maloc.infer._bridge import draw
+from maloc.infer._depths import COLUMNS, draw_depths, summed_up
 from maloc.infer.predict import path_draws
 from maloc.infer.result import Fit
 
@@ -174,7 +175,7 @@ def track_table(
     polars.DataFrame
         Columns of track.csv, by tag and time: tag, time (ISO 8601 UTC or null), t (the input's
         seconds), x, y, sd_x, sd_y (m), cov_xy (m2), x_lo, x_hi, y_lo, y_hi (central 95 %),
-        n_receivers, heard.
+        the depth z, sd_z, z_lo, z_hi (m) of tracks that have it, n_receivers, heard.
     """
     import polars as pl
 
@@ -194,7 +195,7 @@ def track_table(
     return pl.DataFrame(head | columns | {"heard": columns["n_receivers"] > 0})
 
 
-def _columns(tag, t, position, covariance, low, high, n_receivers) -> dict[str, np.ndarray]:
+def _columns(tag, t, position, covariance, low, high, depth, n_receivers):
     return {
         "tag": np.asarray(tag),
         "t": np.asarray(t),
@@ -207,6 +208,7 @@ def _columns(tag, t, position, covariance, low, high, n_receivers) -> dict[str, 
         "x_hi": high[:, 0],
         "y_lo": low[:, 1],
         "y_hi": high[:, 1],
+        **dict(zip(COLUMNS, depth.T, strict=False)),
         "n_receivers": np.asarray(n_receivers),
     }
 
@@ -216,7 +218,8 @@ def _known(fit: Fit, history: EncounterHistory) -> dict[str, np.ndarray]:
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
     position, covariance, low, high = (part[states] for part in fit.positions())
     time = _sent(fit, history, states)
-    return _columns(history.tag, time, position, covariance, low, high, history.n_heard)
+    depth = np.array(fit.depths() or ()).T.reshape(fit.n_states, -1)[states]
+    return _columns(history.tag, time, position, covariance, low, high, depth, history.n_heard)
 
 
 def _sent(fit: Fit, history: EncounterHistory, states: np.ndarray) -> np.ndarray:
@@ -246,12 +249,14 @@ def _placed(
         else:
             at = np.array([counted.times[d][g] for d in mine])
         at = gap.start + at
-        places = draw(rng, paths[gap.tag].take(counted.draws[mine]), at)[:, :, 0]
+        path = paths[gap.tag].take(counted.draws[mine])
+        places = draw(rng, path, at)[:, :, 0]
+        deep = None if path.depth is None else draw_depths(rng, path.depth, at, places)
         for i in range(n):
             place = places[:, i]
             low, high = np.quantile(place, [0.025, 0.975], axis=0)
-            row = (gap.tag, at[:, i].mean(), place.mean(axis=0), np.cov(place.T), low, high, 0)
-            parts.append(row)
+            where = (place.mean(axis=0), np.cov(place.T), low, high, summed_up(deep, i))
+            parts.append((gap.tag, at[:, i].mean(), *where, 0))
     if not parts:
         return None
     return _columns(*(np.array(column) for column in zip(*parts, strict=True)))

@@ -11,6 +11,7 @@ from maloc._jax import require_x64
 from maloc._stages import Stages
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
+from maloc.data.water_column import flat_warning
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._stretches import straighten
@@ -74,6 +75,7 @@ def laplace(
     stages = Stages()
     with stages.time("prepare"):
         args = tuple(map(getattr(model, "reads", _same), args[:1])) + args[1:]
+        flat = flat_warning(args[0]) if args else None
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
     whole = long_arguments(args, cm)
@@ -87,7 +89,7 @@ def laplace(
             fit = fit_long(cm, args, found, _block, path, stages)
     except np.linalg.LinAlgError as error:
         raise FitError(f"the path's precision cannot be factored: {error}") from error
-    warnings: list[str] = []
+    warnings = [flat] if flat else []
     if not np.isfinite(fit.value):
         raise FitError("no finite mode of the path was found")
     if not fit.converged:

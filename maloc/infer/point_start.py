@@ -53,9 +53,11 @@ def pmc_positions(data: ToaData | JointData) -> np.ndarray | None:
     if len(rows) < 2:
         return None
     ranges = np.where(heard, np.asarray(data.range), np.nan)[rows]
-    flat = np.zeros(ranges.shape)
+    below = np.zeros(ranges.shape)
+    if data.depth is not None:
+        below += np.asarray(data.depth.receiver) - np.asarray(data.depth.initial)[rows, None]
     receivers = np.asarray(data.receiver_xy)
-    problem, _ = problem_of(ranges, receivers, flat, np.full(ranges.shape, _SIGMA))
+    problem, _ = problem_of(ranges, receivers, below, np.full(ranges.shape, _SIGMA))
     found = pmc(problem, 2, n_particles=100, iterations=2, kernels=20, reflected=_REFLECTED)
     sure = np.isfinite(found.position).all(axis=1)
     if sure.sum() < 2:

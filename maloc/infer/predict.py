@@ -17,8 +17,10 @@ from maloc._path import MarkovPath
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
+from maloc.depth import DepthPath
 from maloc.errors import FitError, InputError
 from maloc.infer._bridge import PathDraws, between, draw, parts
+from maloc.infer._depths import DepthDraws, draw_depths, expected_depths
 from maloc.infer._model import ChainModel, _unwrap
 from maloc.movement import OU
 
@@ -43,12 +45,16 @@ class Prediction(NamedTuple):
     covariance : (n, d, d) array
     within : (n,) array of bool
         Between the first and the last state; elsewhere the movement model alone says.
+    depth, depth_sd : (n,) arrays, optional
+        Of a track with depth, m.
     """
 
     times: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
     within: np.ndarray
+    depth: np.ndarray | None = None
+    depth_sd: np.ndarray | None = None
 
     @property
     def position(self) -> np.ndarray:
@@ -69,10 +75,12 @@ class TrackDraws:
     ----------
     times : (n,) array
         s, ascending.
-    position : (D, n, A) array
-        m: x, y, and depth where the track has it.
-    velocity : (D, n, A) array, optional
+    position : (D, n, 2) array
+        m.
+    velocity : (D, n, 2) array, optional
         m/s; None for movement without one.
+    depth : (D, n) array, optional
+        m, positive down; None for flat tracks.
     tag : str
     origin : int, optional
         Time 0 as ns since 1970 UTC.
@@ -83,14 +91,14 @@ class TrackDraws:
     times: np.ndarray
     position: np.ndarray
     velocity: np.ndarray | None = None
+    depth: np.ndarray | None = None
     tag: str = ""
     origin: int | None = None
     crs: str | None = None
 
     def __post_init__(self) -> None:
         times, position = np.asarray(self.times, float), np.asarray(self.position, float)
-        shapes = [(len(times), axes) for axes in (2, 3)]
-        if times.ndim != 1 or position.ndim != 3 or position.shape[1:] not in shapes:
+        if times.ndim != 1 or position.ndim != 3 or position.shape[1:] != (len(times), 2):
             raise InputError(f"positions {position.shape} do not go with {len(times)} times")
         if (np.diff(times) <= 0).any():
             raise InputError("times of a track must ascend")
@@ -137,8 +145,13 @@ def predict(fit: Fit, times, tag: int = 0) -> Prediction:
     the first state the path runs backward as it runs forward after the last.
     """
     times = _checked(times)
+    flat = getattr(fit.args[0], "depth", None) is None if fit.args else True
     if fit.method == "laplace" and fit.water is None:
-        return _laplace(fit, times, tag)  # pyright: ignore[reportArgumentType]
+        found = _laplace(fit, times, tag)  # pyright: ignore[reportArgumentType]
+        if flat:
+            return found
+        path = path_draws(fit, tag, _DRAWS, seed=0)
+        return with_depth(found, path)
     path = path_draws(fit, tag)
     keep = np.linspace(0, len(path.clock) - 1, min(len(path.clock), _DRAWS)).astype(int)
     return mixture(path.take(np.unique(keep)), times)
@@ -181,9 +194,21 @@ def drawn(path: PathDraws, times: np.ndarray, n: int, seed: int, **known: Any) -
     keep = np.linspace(0, len(path.clock) - 1, min(len(path.clock), n)).astype(int)
     path = path.take(np.unique(keep))
     rng = np.random.default_rng([seed, 1])
-    state = draw(rng, path, np.broadcast_to(times, (len(path.clock), len(times))))
+    at = np.broadcast_to(times, (len(path.clock), len(times)))
+    state = draw(rng, path, at)
     velocity = state[:, :, 1] if state.shape[2] == 2 else None
-    return TrackDraws(times, state[:, :, 0], velocity, **known)
+    depth = None
+    if path.depth is not None:
+        depth = draw_depths(rng, path.depth, at, state[:, :, 0])
+    return TrackDraws(times, state[:, :, 0], velocity, depth, **known)
+
+
+def with_depth(found: Prediction, path: PathDraws, seed: int = 0) -> Prediction:
+    """A prediction with its depths, by draws of a path that has them."""
+    if path.depth is None:
+        return found
+    mean, sd = expected_depths(path.depth, found.times, found.position, seed)
+    return found._replace(depth=mean, depth_sd=sd)
 
 
 def mixture(path: PathDraws, times: np.ndarray, seed: int = 0) -> Prediction:
@@ -210,7 +235,8 @@ def mixture(path: PathDraws, times: np.ndarray, seed: int = 0) -> Prediction:
     mean = total / n
     covariance = square / n - mean[:, :, None] * mean[:, None] + _on_axes(noise / n, axes)
     first, last = np.median(path.clock[:, 0]), np.median(path.clock[:, -1])
-    return Prediction(times, mean + about, covariance, (times >= first) & (times <= last))
+    inside = (times >= first) & (times <= last)
+    return with_depth(Prediction(times, mean + about, covariance, inside), path, seed)
 
 
 def _by_draws(path: PathDraws, times: np.ndarray, seed: int) -> Prediction:
@@ -223,7 +249,8 @@ def _by_draws(path: PathDraws, times: np.ndarray, seed: int) -> Prediction:
     off = flat - mean
     covariance = np.einsum("dti,dtj->tij", off, off) / (len(flat) - 1)
     first, last = np.median(path.clock[:, 0]), np.median(path.clock[:, -1])
-    return Prediction(times, mean, covariance, (times >= first) & (times <= last))
+    inside = (times >= first) & (times <= last)
+    return with_depth(Prediction(times, mean, covariance, inside), path, seed)
 
 
 def path_draws(fit: Fit, tag: int = 0, n: int | None = None, seed: int | None = None) -> PathDraws:
@@ -246,7 +273,7 @@ def path_draws(fit: Fit, tag: int = 0, n: int | None = None, seed: int | None = 
 
 def path_site(cm: ChainModel):
     """The site of the path that moves in continuous time."""
-    found = [s for s in cm.chain if issubclass(s.law, MarkovPath)]
+    found = [s for s in cm.chain if issubclass(s.law, MarkovPath) and s.law is not DepthPath]
     if len(found) != 1:
         raise FitError("prediction needs one path of maloc.movement: CTCRW, Brownian or OU")
     return found[0]
@@ -264,7 +291,24 @@ def _path(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     state = x[:, mine, site.columns].reshape(len(x), len(mine), -1, site.tail[-1])
     scale = {k: by_tag(read[k], mine[:1])[:, 0] for k in site.law.scale_names}
     home = by_tag(read["centre"], mine[:1], True)[:, 0] if "centre" in read else None
-    return PathDraws(site.law, scale, in_order(clock), state, home, fit.water)
+    clock = in_order(clock)
+    depth = _depths(fit, x, read, mine, clock)
+    return PathDraws(site.law, scale, clock, state, home, fit.water, depth)
+
+
+def _depths(fit: Fit, x: np.ndarray, read: dict, mine: np.ndarray, clock: np.ndarray):
+    """Depths of one tag (states `mine`) in flat draws x (D, T, d), or None."""
+    water = getattr(fit.args[0], "depth", None) if fit.args else None
+    if water is None:
+        return None
+    known, path = np.asarray(water.observed)[mine], None
+    for site in fit.cm.chain:
+        if site.law is DepthPath:
+            state = x[:, mine, site.columns].reshape(len(x), len(mine), 1, 1)
+            scale = {k: by_tag(read[f"depth_{k}"], mine[:1])[:, 0] for k in DepthPath.scale_names}
+            home = by_tag(read["depth_centre"], mine[:1], True)[:, 0]
+            path = PathDraws(OU, scale, clock, state, home)
+    return DepthDraws(path, water, np.median(clock, axis=0), known)
 
 
 def read_law(fit: Fit, x: np.ndarray, u: np.ndarray, emission: bool = True) -> dict:
@@ -301,6 +345,10 @@ def _reader(cm: ChainModel, name: str):
         out = {key: getattr(law, key) for key in law.scale_names}
         if isinstance(law, OU):
             out["centre"] = law.centre
+        if "depth_path" in trace:
+            deep, _ = _unwrap(trace["depth_path"]["fn"])
+            names = (*deep.scale_names, "centre")
+            out |= {f"depth_{key}": getattr(deep, key) for key in names}
         if law.tag is not None:
             out["tag"] = law.tag
         if "emission_time" in trace:

@@ -14,6 +14,7 @@ from maloc.data.joint_data import JointData
 from maloc.infer._beat import smooth_beat
 from maloc.infer._grid import grid_paths
 from maloc.infer._model import ChainModel, chain_model
+from maloc.infer._slant import depth_at, slant_ranges
 from maloc.infer.initial import initial_values, put_positions, repair
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import anneal, find_mode
@@ -150,7 +151,8 @@ def _curves(values: dict):
 def _put_emission(cm: ChainModel, data: JointData, x, xy, sigma: float) -> None:
     """Emission times that suit the positions best: on the side where no arrival is early."""
     column, heard = _column(cm), np.asarray(data.heard)
-    away = np.linalg.norm(xy[:, None] - np.asarray(data.receiver_xy), axis=2)
+    values = {s.name: x[:, s.columns] for s in cm.chain}
+    away = slant_ranges(data, xy, depth_at(data, xy, values))
     reach = np.where(heard, np.asarray(data.range) - away, np.nan)
     for t in np.flatnonzero(heard.any(axis=1)):
         tried = reach[t, heard[t]]

@@ -15,6 +15,7 @@ from maloc import signal
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import FitError
 from maloc.infer._bridge import draw
+from maloc.infer._depths import COLUMNS, draw_depths, summed_up
 from maloc.infer.predict import path_draws
 from maloc.infer.result import Fit
 
@@ -34,6 +35,7 @@ class _Rows(NamedTuple):
     covariance: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    depth: np.ndarray  # (n, 4) m: mean, sd, interval; no columns where the track is flat
     n_receivers: np.ndarray
 
 
@@ -53,8 +55,9 @@ def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
     -------
     polars.DataFrame
         Columns of track.csv: tag, time (ISO 8601 UTC or null), t (emission time, the input's
-        seconds), x, y, sd_x, sd_y (m), cov_xy (m2), x_lo, x_hi, y_lo, y_hi (central 95 %),
-        n_receivers, heard; and longitude, latitude where the receivers' frame is known.
+        seconds), x, y, sd_x, sd_y (m), cov_xy (m2), x_lo, x_hi, y_lo, y_hi (central 95 %), the
+        depth z, sd_z, z_lo, z_hi (m) of a track that has it, n_receivers, heard; and longitude,
+        latitude where the receivers' frame is known.
     """
     rows = _join(_heard(fit, toa), _unheard(fit, toa, np.random.default_rng(seed)))
     return _frame(rows, toa)
@@ -68,7 +71,8 @@ def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
         emission = np.asarray(fit.cm.natural(x, u, fit.args)["emission_time"])[: fit.n_states]
     else:
         emission = fit.draws()["emission_time"].mean(axis=(0, 1))
-    return _Rows(emission, position, covariance, low, high, toa.n_heard[toa.n_heard > 0])
+    depth = np.array(fit.depths() or ()).T.reshape(len(emission), -1)
+    return _Rows(emission, position, covariance, low, high, depth, toa.n_heard[toa.n_heard > 0])
 
 
 def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:
@@ -83,11 +87,13 @@ def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | N
     for k, n, schedule in gaps:
         times = _times(rng, path.clock, k, n, schedule, len(keep))
         places = draw(rng, path, times)[:, :, 0]  # (draw, n, 2)
+        deep = None if path.depth is None else draw_depths(rng, path.depth, times, places)
         for i in range(n):
             place = places[:, i]
             low, high = np.quantile(place, [0.025, 0.975], axis=0)
             covariance = np.cov(place.T)
-            parts.append((times[:, i].mean(), place.mean(axis=0), covariance, low, high))
+            depth = summed_up(deep, i)
+            parts.append((times[:, i].mean(), place.mean(axis=0), covariance, low, high, depth))
     columns = [np.array(c) for c in zip(*parts, strict=True)]
     return _Rows(*columns, n_receivers=np.zeros(len(parts), int))
 
@@ -186,6 +192,7 @@ def _frame(rows: _Rows, toa: ArrivalTimes) -> pl.DataFrame:
         "x_hi": rows.high[:, 0],
         "y_lo": rows.low[:, 1],
         "y_hi": rows.high[:, 1],
+        **dict(zip(COLUMNS, rows.depth.T, strict=False)),
         "n_receivers": rows.n_receivers,
         "heard": rows.n_receivers > 0,
     }
