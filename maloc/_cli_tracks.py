@@ -88,6 +88,20 @@ def track(
             help="GeoJSON of the water: animals are not on land (not --model detections)."
         ),
     ] = None,
+    depth: Annotated[
+        str,
+        typer.Option(
+            metavar="flat|sensor|3d|M",
+            help="Flat tracks; with depth as sensed, or to be found; at M m (not detections).",
+        ),
+    ] = "flat",
+    depth_sd: Annotated[
+        float, typer.Option(metavar="M", help="Error (sd) of the tag's depth sensor, m.")
+    ] = 1.0,
+    bottom: Annotated[
+        str | None,
+        typer.Option(metavar="M|DEM.tif", help="Depth of the water, m, or a file of elevations."),
+    ] = None,
     sound_speed: Annotated[
         str | None,
         typer.Option(
@@ -147,6 +161,9 @@ def track(
         interval_stable=interval_stable,
         schedule_file=schedule,
         water=water,
+        depth=depth,
+        depth_sd=depth_sd,
+        bottom=bottom,
         sound_speed=sound_speed,
         method=method,
         start=start,

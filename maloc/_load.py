@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from maloc._depth_options import check_depth
 from maloc._log import Log
 from maloc._reading import Reading, too_soon
 from maloc._refuse import check_usable, check_whole_seconds
@@ -48,6 +49,9 @@ class TrackOptions:
     interval_stable: tuple[float, float] | None = None
     schedule_file: Path | None = None
     water: Path | None = None
+    depth: str = "flat"
+    depth_sd: float = 1.0
+    bottom: str | None = None
     sound_speed: str | None = None
     method: str = "laplace"
     start: str = "annealed"
@@ -90,6 +94,7 @@ class TrackOptions:
             )
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
+        check_depth(self)
         self.schedule()
         self.speed()
 

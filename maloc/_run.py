@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc._depth_options import with_depth
 from maloc._folder import check_free, output_folder
 from maloc._load import Source, TrackOptions, load, read_shore, speed_of_water
 from maloc._log import Log
@@ -176,7 +177,7 @@ def run_track(
     out = Path(out).absolute()
     log = Log(quiet)
     with log.listening():
-        source = load(options, log)
+        source = with_depth(load(options, log), options, log)
         water = read_shore(options, source.receivers, log)
         log.release()
         done = _each(options, source, water, out, log, workers, scheduler)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from maloc._depth_options import with_depth
 from maloc._load import TrackOptions, load, read_shore
 from maloc._load_encounters import Encounters
 from maloc._log import Log
@@ -59,7 +60,7 @@ def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
     FitError
         If the fit fails.
     """
-    source = load(options, log)
+    source = with_depth(load(options, log), options, log)
     water = read_shore(options, source.receivers, log)
     log.release()
     with log.stage("engine start"):  # JAX is imported here, and nowhere before
