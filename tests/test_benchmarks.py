@@ -61,6 +61,7 @@ def test_engine_against_plain_nuts(monkeypatch, capsys):
     assert len(rows) == 2 and all(s.endswith("x") for s in rows)
 
 
+@pytest.mark.extended
 def test_svi_beside_nuts(monkeypatch, capsys):
     """Positions of a short track: medians of errors and sd ratios as the page says, or nearly."""
     short = ["--size", "12", "--draws", "300", "--steps", "200"]

@@ -96,6 +96,7 @@ class TestScores:
         middle = np.median(np.abs(np.concatenate(off))) / 0.6745
         assert middle == pytest.approx(sigma, rel=0.25)  # a few per cent are late
 
+    @pytest.mark.extended
     def test_a_sampled_fit_counts_by_its_mean(self, sampled_fit, point):
         there = scores.fitted_point(sampled_fit)
         assert np.abs(there.u - point.u).max() < 1.0
@@ -228,7 +229,7 @@ class TestCheckInputs:
         other = maloc.infer.check_inputs(laplace_fit, toa[0], simulations=15, seed=1)
         assert other["sound speed"].p != found["sound speed"].p
 
-    @pytest.mark.parametrize("off", [8.0, 25.0])
+    @pytest.mark.parametrize("off", [pytest.param(8.0, marks=pytest.mark.extended), 25.0])
     def test_a_suspect_is_warned_of_by_name(self, off):
         """Off by so much that all that the receiver hears is taken for late, too."""
         times, _, _ = cases.toa(pings=30, unheard=(), p_late=0.0)

@@ -114,7 +114,8 @@ def fits():
     return get
 
 
-@pytest.mark.parametrize("kind", ["stable", pytest.param("random", marks=EXTENDED)])
+@EXTENDED
+@pytest.mark.parametrize("kind", ["stable", "random"])
 def test_joint_fit_of_a_schedule(fits, kind):
     """End to end: near the truth, emission times to some milliseconds."""
     toa, emission, position, fit = fits(kind)

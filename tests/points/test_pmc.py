@@ -82,7 +82,7 @@ def test_gaussian_errors_give_the_covariance_of_the_geometry_and_its_coverage():
     np.testing.assert_allclose(points.emission, 60.0 * np.arange(200), atol=4e-3)
 
 
-@pytest.mark.parametrize("beta", [32.0, 128.0])
+@pytest.mark.parametrize("beta", [32.0, pytest.param(128.0, marks=pytest.mark.extended)])
 def test_late_arrivals_are_called_reflected_and_the_errors_law_is_found(beta):
     rng = np.random.default_rng(5)
     n, m = 200, 8

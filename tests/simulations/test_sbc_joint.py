@@ -28,7 +28,7 @@ def test_hearing_follows_the_parameters(silence):
     assert np.std(means) < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.extended
 @pytest.mark.sbc
 def test_the_command_in_small(capsys):
     sbc_joint.main(["--fits", "2", "--method", "hmc", "--draws", "50", "--silence", "unknown"])
