@@ -91,7 +91,6 @@ def test_files_that_hold_no_track(shared_dir, tmp_path, file, words):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_a_boat_from_the_raw_export_against_its_gps(shared_dir, tmp_path):
     """The GPS is good to about 3 m and its antenna ahead of the tag: it is the floor here."""
     data = shared_dir / "data" / "ssu1"
