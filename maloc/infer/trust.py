@@ -83,4 +83,4 @@ def _replicates(cm: ChainModel):
             drawn += jnp.sum(site["fn"].log_prob(replicate))
         return seen, drawn
 
-    return lambda keys, x, u, args: jax.lax.map(lambda d: one(*d, args), (keys, x, u))
+    return lambda keys, x, u, args: jax.lax.map(lambda d: one(d[0], d[1], d[2], args), (keys, x, u))
