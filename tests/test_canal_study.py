@@ -343,7 +343,6 @@ def test_points_of_a_given_array():
         assert np.median(error) < 3 and (found.high >= found.low)[np.isfinite(error)].all()
 
 
-@pytest.mark.slow
 def test_unheard_pings_come_by_the_bridge():
     """A track without noise: where nobody heard it the fish is between its neighbours."""
     toa, truth = simulated(0.1, n_pings=30, seed=5)
@@ -385,7 +384,6 @@ def test_what_cannot_be_asked(options, said, tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "canal").exists()
 
 
-@pytest.mark.slow
 def test_the_command_in_small(tmp_path, capsys):
     """Whole: processes, two methods, tables, and gone on with at once."""
     asked = ["--tracks", "1", "--pings", "30", "--missing", "0.3", "--late", "0.06"]

@@ -224,7 +224,6 @@ def test_other_settings_and_other_folders_are_refused(tmp_path):
         _study.run_study(SMALL, 1, tmp_path / "new", models=["sorcery"])
 
 
-@pytest.mark.slow
 def test_the_command_in_small(tmp_path, capsys):
     """Whole: processes, all four models, tables, and gone on with at once."""
     from simulations import hostetter_royle

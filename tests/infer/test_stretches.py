@@ -43,7 +43,6 @@ def test_a_displaced_stretch_comes_back():
     assert np.abs(found[: len(xy), :2] - best.x[: len(xy), :2]).max() < 0.05
 
 
-@pytest.mark.slow
 def test_late_arrivals_that_agree_by_chance():
     """A track of which two stretches of five and seven pings were lost, by up to 72 m."""
     toa, xy = a_track(17, 0.5, 0.15)
