@@ -133,6 +133,7 @@ def test_heard_pings_alone_where_no_interval_is_given(tmp_path):
     assert "p0" in names and "scale" in names and "p_lost" not in names
 
 
+@pytest.mark.extended
 def test_case_of_missed_pings_at_whole_seconds(shared_dir, tmp_path):
     case = shared_dir / "cases" / "11-burst-240-360-missed"
     text = (case / "vue.csv").read_text().splitlines()

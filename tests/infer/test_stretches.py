@@ -1,7 +1,6 @@
 """Stretches at a wrong place are found by their leaps and laid straight where that is likelier."""
 
 import numpy as np
-import pytest
 
 import maloc
 from maloc.infer._stretches import leaps, straighten
