@@ -17,6 +17,7 @@ from maloc.sync.connect import (
     latency,
     sync_pair,
 )
+from maloc.sync.windows import WindowOffsets, window_offsets
 
 __all__ = [
     "Anchors",
@@ -25,6 +26,7 @@ __all__ = [
     "Connectivity",
     "SyncOrder",
     "SyncResiduals",
+    "WindowOffsets",
     "connectivity",
     "find_sync_order",
     "fit",
@@ -32,4 +34,5 @@ __all__ = [
     "read_anchors",
     "rough",
     "sync_pair",
+    "window_offsets",
 ]
