@@ -22,6 +22,7 @@ Numbers = Array | np.ndarray
 
 __all__ = ["Water", "read_water", "water"]
 
+_PIECE = 4096  # places that are looked up together
 _FAR = 20.0  # m; a receiver so far inland is one too many
 
 
@@ -63,8 +64,12 @@ class Water:
         return xy + self._look_up(xy)[..., 1:]
 
     def _look_up(self, xy):
-        flat = jax.vmap(self._one)(jnp.reshape(xy, (-1, 2)))
-        return jnp.reshape(flat, (*jnp.shape(xy)[:-1], 3))
+        flat = xy.reshape(-1, 2)
+        if isinstance(xy, np.ndarray):  # in pieces of one size: compiled once
+            pieces = [flat[i : i + _PIECE] for i in range(0, len(flat), _PIECE)]
+            some = [np.asarray(_looked_up(self, _padded(p)))[: len(p)] for p in pieces]
+            return np.concatenate([np.zeros((0, 3)), *some]).reshape(*xy.shape[:-1], 3)
+        return jnp.reshape(jax.vmap(self._one)(flat), (*jnp.shape(xy)[:-1], 3))
 
     def _one(self, xy):
         """All three at one place (2,)."""
@@ -80,6 +85,15 @@ class Water:
 jax.tree_util.register_dataclass(
     Water, data_fields=[f.name for f in dataclasses.fields(Water)], meta_fields=[]
 )
+
+
+@jax.jit
+def _looked_up(water: Water, flat):
+    return jax.vmap(water._one)(flat)
+
+
+def _padded(flat: np.ndarray) -> np.ndarray:
+    return np.concatenate([flat, np.zeros((_PIECE - len(flat), 2))])
 
 
 def _spline(field, at):

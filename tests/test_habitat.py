@@ -30,18 +30,6 @@ def lake():
     return water([[LAKE, ISLAND]])
 
 
-@jax.jit
-def _both(lake, xy):
-    return lake.distance(xy), lake.off_land(xy)
-
-
-def both(lake, xy):
-    """Distances and places off the land of up to 3000 places, compiled once."""
-    wide = np.zeros((3000, 2))
-    wide[: len(xy)] = xy
-    return tuple(np.asarray(a)[: len(xy)] for a in _both(lake, wide))
-
-
 def signed(xy):
     at = shapely.points(xy)
     away = shapely.distance(SHAPE.boundary, at)
@@ -51,7 +39,7 @@ def signed(xy):
 def test_distance_is_the_polygons(lake):
     """Within a tenth of the grid's step, but at corners and on the ridges between shores."""
     xy = np.random.default_rng(0).uniform([-30, -30], [330, 270], (2000, 2))
-    off = np.abs(both(lake, xy)[0] - signed(xy))
+    off = np.abs(lake.distance(xy) - signed(xy))
     assert np.quantile(off, 0.9) < 0.05
     assert off.max() < 1.0
 
@@ -61,15 +49,15 @@ def test_distance_is_smooth_and_falls_beyond_the_grid(lake):
     slope = jax.jit(jax.vmap(jax.grad(lake.distance)))(xy)
     for axis in (0, 1):
         step = 1e-5 * np.eye(2)[axis][None]
-        wanted = (both(lake, xy + step)[0] - both(lake, xy - step)[0]) / 2e-5
+        wanted = (lake.distance(xy + step) - lake.distance(xy - step)) / 2e-5
         np.testing.assert_allclose(slope[:, axis], wanted, atol=1e-5)
-    far, _ = both(lake, np.array([[-1000.0, 100], [-2000.0, 100]]))
+    far = lake.distance(np.array([[-1000.0, 100], [-2000.0, 100]]))
     assert float(far[0] - far[1]) == pytest.approx(1000.0, abs=1e-3)
 
 
 def test_nothing_stays_on_land(lake):
     xy = np.random.default_rng(2).uniform([-40, -40], [340, 280], (3000, 2))
-    _, moved = both(lake, xy)
+    moved = lake.off_land(xy)
     before, after = signed(xy), signed(moved)
     assert (before < -5).sum() > 500
     assert after[before > -5].min() > -0.3
