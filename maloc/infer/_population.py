@@ -18,7 +18,9 @@ import numpyro.distributions as dist
 from numpyro.primitives import Messenger
 from scipy.optimize import minimize
 
+from maloc._jax import jax
 from maloc.errors import InputError
+from maloc.infer._model import ChainModel
 from maloc.infer.marginal import MarginalFit
 
 __all__ = [
@@ -75,7 +77,7 @@ def shared(model: Callable, names: tuple[str, ...]) -> Callable:
     return lawful
 
 
-def own_law(trace: dict, names: tuple[str, ...]) -> Law:
+def own_law(cm: ChainModel, args: tuple, names: tuple[str, ...]) -> Law:
     """The law that a model gives the named sites itself.
 
     Raises
@@ -83,15 +85,18 @@ def own_law(trace: dict, names: tuple[str, ...]) -> Law:
     InputError
         If a name is no site of the model, or its prior is not log-normal.
     """
-    loc, scale = [], []
+    trace = cm._abstract(args)
     for name in names:
-        fn = trace[name]["fn"] if name in trace else None
-        if not isinstance(fn, dist.LogNormal):
-            what = "no parameter of the model" if fn is None else "not log-normal in the model"
-            raise InputError(f"hierarchical '{name}' is {what}")
-        loc.append(float(fn.loc))
-        scale.append(float(fn.scale))
-    return Law(np.asarray(loc), np.asarray(scale))
+        if name not in trace or not isinstance(trace[name]["fn"], dist.LogNormal):
+            what = "not log-normal in" if name in trace else "no parameter of"
+            raise InputError(f"hierarchical '{name}' is {what} the model")
+
+    def numbers(args):
+        found = cm._trace({}, args)
+        return [(found[name]["fn"].loc, found[name]["fn"].scale) for name in names]
+
+    loc, scale = np.asarray(jax.jit(numbers)(args), float).T
+    return Law(loc, scale)
 
 
 def site_of(u: np.ndarray, covariance: np.ndarray, law: Law) -> Site:

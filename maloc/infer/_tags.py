@@ -59,8 +59,8 @@ class Tags:
                 bar.update()
 
     def _look(self, data) -> None:
-        cm = chain_model(self.plain, self.options, (data, *self.args))
-        self.prior = law.own_law(cm._abstract((data, *self.args)), self.names)
+        args = (data, *self.args)
+        self.prior = law.own_law(chain_model(self.plain, self.options, args), args, self.names)
 
     def _rows(self, cm: ChainModel) -> np.ndarray:
         place = {s.name: s.place.start for s in cm.globals}
