@@ -48,8 +48,9 @@ class TestScores:
         def predicted(x, xy):
             return jnp.ravel(law(x, xy).loc)
 
-        weight = np.asarray(law(x, base).curvature(args[0].range) * args[0].heard).ravel()
-        by_path, by_shift = jax.jacfwd(predicted, argnums=(0, 1))(jnp.asarray(x), base)
+        curvature = jax.jit(lambda x: law(x, base).curvature(args[0].range))(x)
+        weight = (np.asarray(curvature) * np.asarray(args[0].heard)).ravel()
+        by_path, by_shift = jax.jit(jax.jacfwd(predicted, argnums=(0, 1)))(jnp.asarray(x), base)
         by_path = np.asarray(by_path).reshape(weight.size, -1)
         by_shift = np.asarray(by_shift).reshape(weight.size, -1)
         n, d = by_path.shape[1], cm.d

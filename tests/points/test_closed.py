@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from maloc._jax import jnp
+from maloc._jax import jax, jnp
 from maloc.points import locate
 from maloc.points._closed import minimal
 from maloc.points._small import under_determined
@@ -36,7 +36,7 @@ def test_truth_is_among_the_roots_and_exact_roots_solve_the_equations(d, known):
         return np.sqrt(square + (place[..., 2] ** 2 if d == 2 else 0.0))
 
     arrival = sent[:, None] + distance(truth)
-    roots = minimal(
+    roots = jax.jit(minimal, static_argnums=2)(
         jnp.asarray(arrival.T),
         jnp.asarray(np.moveaxis(place, 0, -1)),
         d,
