@@ -5,7 +5,9 @@ wherever no sensor holds it, so the depth's path z (m) is stationary, an Ornstei
 about a mean that lies between the two; and as the bounds cannot cut a normal law, the depth is a
 function of it that is z between them and comes to rest on them:
 
-    depth = s log(1 + exp(z / s)) - s log(1 + exp((z - bottom) / s)),   s = bottom / 100.
+    depth = s log(1 + exp(z / s)) - s log(1 + exp((z - bottom) / s)),
+
+with s a hundredth of the water's depth, at most half a metre.
 
 A path beyond a bound is an animal that keeps to the surface or the bottom. Where nothing is known
 the mean is uniform between the two, and so is the depth but for what lies on the bounds.
@@ -29,7 +31,7 @@ from maloc.habitat import _spline
 __all__ = ["DepthPath", "PressureSensor", "bottom_at", "depth_of", "path_at"]
 
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
-_SOFT = 0.01  # of the water column: width of the bounds
+_SOFT, _SOFTEST = 0.01, 0.5  # of the water column, and m at most: width of the bounds
 _NEAR = 0.02  # of the water column: starts keep this far from surface and bottom
 
 
@@ -50,9 +52,9 @@ def bottom_at(water: DepthData, position):
 
 def depth_of(path, bottom):
     """Depths (...) m of z (...) m where the water is so deep (m)."""
-    soft = _SOFT * bottom
     # NumPy where nothing is JAX's: JAX would compile anew for every shape
     xp: Any = jnp if isinstance(path, jax.Array) else np
+    soft = xp.minimum(_SOFT * bottom, _SOFTEST)
     return soft * (xp.logaddexp(0.0, path / soft) - xp.logaddexp(0.0, (path - bottom) / soft))
 
 

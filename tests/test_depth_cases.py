@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
 from typer.testing import CliRunner
 
+from maloc._depth_options import with_depth
+from maloc._load import Source, TrackOptions
+from maloc._log import Log
 from maloc.cli import app
 from maloc.data import read_detections, read_receivers, read_tags, toa_matrix
+from maloc.errors import InputError
 from simulations import depth as study
 
 SLOPE, LOWEST = 0.35, -1.5  # m a count, m
@@ -76,3 +82,39 @@ def test_track_of_interleaved_codes(files, tmp_path):
     deep = np.flatnonzero(made.toa.n_heard > 0) % 2 == 0
     assert np.abs(z - truth[:, 2])[deep].mean() < 0.3  # sd .2 m
     assert ((low <= truth[:, 2]) & (truth[:, 2] <= high)).mean() > 0.8
+
+
+def asked(folder, **how) -> TrackOptions:
+    return TrackOptions(toa=folder / "toa.csv", receivers=folder / "receivers.csv", **how)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"depth": "3d", "model": "detections"}, "goes with --model toa or joint"),
+        ({"bottom": "40"}, "says nothing to a flat track"),
+        ({"depth": "deep"}, "none of flat, sensor, 3d, nor metres"),
+        ({"depth": "3d", "depth_sd": -1.0}, "is negative"),
+        ({"depth": "3d", "bottom": "nowhere.tif"}, "neither metres nor a file"),
+    ],
+)
+def test_options_that_cannot_be_meant(tmp_path, how, said):
+    with pytest.raises(InputError, match=said):
+        asked(tmp_path, **how)
+
+
+def test_depth_that_was_asked_for(files):
+    folder, made = files
+    source, log = Source([made.toa], made.toa.receivers, None, None, {}), Log(True)
+    assert with_depth(source, asked(folder), log).toas[0].column is None
+    assert "are not used: the track is flat" in log.notices[0]
+    fixed = with_depth(source, asked(folder, depth="7.5"), log).toas[0]
+    assert fixed.column.sensor_sd == 0 and (fixed.depth == 7.5).all()
+    found = with_depth(source, asked(folder, depth="sensor", bottom="80"), log).toas[0]
+    assert (found.column.bottom, found.column.sensor_sd) == (80.0, 1.0)
+    silent = source._replace(toas=[made.toa.replace(depth=None)])
+    with pytest.raises(InputError, match="sent no depths"):
+        with_depth(silent, asked(folder, depth="sensor"), log)
+    bare = replace(made.toa.receivers, depth=np.full(16, np.nan))
+    with pytest.raises(InputError, match="receiver R0 has no depth"):
+        with_depth(source._replace(receivers=bare), asked(folder, depth="3d"), log)

@@ -97,7 +97,9 @@ def toa_matrix(
     if sound_speed is None:
         work.notes.append(Note("warning", NO_SPEED))
     xy = receivers.xy
-    travel = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) / slowest
+    down = np.nan_to_num(receivers.depth[:, None] - receivers.depth[None])
+    apart = np.hypot(np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)), down)
+    travel = apart / slowest
     late = LATE_S if not schedule.shortest > 0 else min(LATE_S, schedule.shortest / 4)
     work.group(travel, tolerance, late)
     _refuse_unsynchronised(work, travel, tolerance)

@@ -83,7 +83,7 @@ def test_density_by_hand(simulated):
     keep = 0.05 ** (np.asarray(data.dt) / 900.0)
     law = norm.logpdf(z[0], 0.4 * 80.0, 12.0)
     law += norm.logpdf(z[1:], 32.0 + keep * (z[:-1] - 32.0), 12.0 * np.sqrt(1 - keep**2)).sum()
-    depth = 0.8 * (np.logaddexp(0, z / 0.8) - np.logaddexp(0, (z - 80.0) / 0.8))
+    depth = 0.5 * (np.logaddexp(0, z / 0.5) - np.logaddexp(0, (z - 80.0) / 0.5))
     n = len(toa)
     says = np.flatnonzero(np.isfinite(toa.depth))
     law += norm.logpdf(toa.depth[says], depth[says], 1.5).sum()
