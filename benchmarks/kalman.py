@@ -2,7 +2,7 @@
 
 CPU seconds of Kalman filter and smoother on many positions; then simulated canal tracks
 (reflections, missed arrivals): mean error of least squares, of what a speed filter leaves of it, of
-filter and smoother after that, and of `toa_track` on the same arrivals.
+filter and smoother after that, of EK-TOA and of `toa_track` on the same arrivals.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 import maloc
-from maloc.classical import kalman, speed_filter
+from maloc.classical import ek_toa, kalman, speed_filter
 from maloc.points import Points, locate
 from maloc.simulate import canal_toa
 
@@ -55,14 +55,15 @@ def chain(seed: int, missing: float, late: float) -> tuple[list[float], int]:
 
     track = kalman(found, keep=keep)
     mine = rows[np.searchsorted(found.emission[rows], track.time)]
-    fit = maloc.infer.laplace(maloc.models.toa_track, toa)
     heard = np.flatnonzero(toa.n_heard > 0)
+    fit = maloc.infer.laplace(maloc.models.toa_track, toa)
     kept = np.flatnonzero(keep)
     return [
         error(found.position[rows], rows),
         error(found.position[kept], kept),
         error(track.filtered.mean[:, :2], mine),
         error(track.smoothed.mean[:, :2], mine),
+        error(ek_toa(toa).smoothed.mean[:, :2], heard),
         error(fit.moments()[0][:, :2], heard),
     ], int((~passed).sum())
 
@@ -81,7 +82,8 @@ def main() -> None:
     print(f"{given.points} positions: {time.process_time() - start:.2f} CPU s, filter and smoother")
     if not given.tracks:
         return
-    print("missing late   least squares  kept  filtered  smoothed  toa_track   out (mean error, m)")
+    print("mean error, m")
+    print("missing late   least squares  kept  filtered  smoothed  EK-TOA  toa_track   out")
     for missing, late in ((0.0, 0.0), (0.1, 0.02), (0.2, 0.06)):
         found = [chain(seed, missing, late) for seed in range(given.tracks)]
         errors = np.mean([e for e, _ in found], axis=0)

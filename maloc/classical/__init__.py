@@ -7,6 +7,7 @@ it can be compared honestly with the posterior of arrival times. `kalman` takes 
 
 from __future__ import annotations
 
+from maloc.classical.ektoa import ek_toa
 from maloc.classical.kalman import MOVEMENTS, KalmanTrack, kalman
 from maloc.classical.outliers import (
     Screened,
@@ -21,6 +22,7 @@ __all__ = [
     "MOVEMENTS",
     "KalmanTrack",
     "Screened",
+    "ek_toa",
     "kalman",
     "land_filter",
     "speed_filter",

@@ -66,7 +66,6 @@ class KalmanTrack:
     parameters: dict[str, float]
     energy: float
     d: int
-    _given: tuple = ()
 
     def predict(self, times: Any) -> States:
         """Smoothed states at any times from the first used position on.
@@ -87,23 +86,26 @@ class KalmanTrack:
             If a time is before the first position that was used.
         """
         asked = np.atleast_1d(np.asarray(times, float))
-        clock, xy, covariance = self._given
-        if not np.all(np.isfinite(asked)) or asked.min() < clock[0]:
+        if not np.all(np.isfinite(asked)) or asked.min() < self.time[0]:
             raise InputError(
-                f"the first position is at {clock[0]:g} s, nothing is known before it",
+                f"the first position is at {self.time[0]:g} s, nothing is known before it",
                 mend="ask for later times",
             )
-        every = np.union1d(clock, asked)
-        at = np.searchsorted(every, clock)
-        wide = np.full((len(every), self.d), np.nan), np.tile(np.eye(self.d), (len(every), 1, 1))
-        wide[0][at], wide[1][at] = xy, covariance
-        law = LAWS[self.movement]
-        found = _smoothed(_bound(every, *wide, law, tuple(self.parameters.values())))
-        mine = np.searchsorted(every, asked)
-        return States(
-            np.asarray(found.smoothed_state.T[mine]),
-            np.asarray(np.moveaxis(found.smoothed_state_cov, 2, 0)[mine]),
+        law, values = (
+            LAWS[self.movement],
+            tuple(self.parameters[n] for n in LAWS[self.movement].names),
         )
+        before = np.searchsorted(self.time, asked, side="right") - 1
+        a, q = steps(law, asked - self.time[before], self.d, values)
+        mean, covariance = _ahead(a, q, *(x[before] for x in self.filtered))
+        inner = np.flatnonzero(before < len(self.time) - 1)
+        after = before[inner] + 1
+        a, q = steps(law, self.time[after] - asked[inner], self.d, values)
+        found = smoothed_by(
+            a, q, mean[inner], covariance[inner], *(x[after] for x in self.smoothed)
+        )
+        mean[inner], covariance[inner] = found
+        return States(mean, covariance)
 
     def to_frame(self, states: str = "smoothed") -> pl.DataFrame:
         """Return one row a time: time, x, y (and depth), their sds and xy covariance, used."""
@@ -191,8 +193,37 @@ def kalman(
     return KalmanTrack(
         time, prior, filtered, smoothed, used, movement,
         dict(zip(law.names, values, strict=True)), -float(found.llf), xy.shape[1],
-        (time, xy, covariance),
     )  # fmt: skip
+
+
+def _ahead(a: np.ndarray, q: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> tuple:
+    """States (..., n) taken through a step."""
+    return (a @ mean[..., None])[..., 0], a @ covariance @ np.swapaxes(a, -1, -2) + q
+
+
+def smoothed_by(
+    a: np.ndarray,
+    q: np.ndarray,
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    later: np.ndarray,
+    later_covariance: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """States given what is known after them, too: one step back of Rauch, Tung and Striebel's.
+
+    Parameters
+    ----------
+    a, q : (..., n, n) arrays
+        The step to the later state.
+    mean, covariance : (..., n) and (..., n, n) arrays
+        Of the state, filtered.
+    later, later_covariance : (..., n) and (..., n, n) arrays
+        Of the later state, smoothed.
+    """
+    expected, spread = _ahead(a, q, mean, covariance)
+    gain = np.swapaxes(np.linalg.solve(spread, a @ covariance), -1, -2)
+    more = (gain @ (later - expected)[..., None])[..., 0]
+    return mean + more, covariance + gain @ (later_covariance - spread) @ np.swapaxes(gain, -1, -2)
 
 
 def _bound(time: np.ndarray, xy: np.ndarray, covariance: np.ndarray, law: Law, values: tuple):
