@@ -7,7 +7,7 @@ here they come back as fits.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from maloc.infer import Fit
 
 __all__ = ["TagsFit", "fit"]
-
-_STILL = 0.1  # sds; a pass that moves the law by less is the last
 
 
 @dataclass
@@ -38,8 +36,9 @@ class TagsFit:
         and a standard deviation tau on the log scale.
     mean, covariance : (2 h,) and (2 h, 2 h) arrays
         Posterior of mu, then of log tau.
-    trace : list of float
-        SVI: the evidence bound of all tags together after each pass.
+    trace : (steps,) array
+        SVI: the evidence bound of all tags together, each under the model's own law, as it was
+        climbed.
     warnings : tuple of str
         What went less than well with the whole; each fit has its own.
     """
@@ -49,7 +48,7 @@ class TagsFit:
     hierarchical: tuple[str, ...] = ()
     mean: np.ndarray = field(default_factory=lambda: np.zeros(0))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    trace: list[float] = field(default_factory=list)
+    trace: np.ndarray = field(default_factory=lambda: np.zeros(0))
     warnings: tuple[str, ...] = ()
 
     def population(self) -> list[dict[str, Any]]:
@@ -92,8 +91,6 @@ def fit(
     model: Callable | None = None,
     hierarchical: tuple[str, ...] = (),
     method: str = "laplace",
-    batch: int = 10,
-    passes: int = 3,
     steps: int = 100,
     particles: int = 2,
     draws: int = 1000,
@@ -115,15 +112,9 @@ def fit(
         Parameters with a log-normal prior ("sigma_vel", "t05", ...) whose tags' values follow a
         law that is learnt with them: tags that say little borrow from the others.
     method : {"laplace", "svi"}
-        SVI starts from the Laplace fits and goes on in minibatches of tags, after each of which the
-        law is learnt again.
-    batch : int
-        Tags a minibatch.
-    passes : int
-        SVI: over all tags at most; it stops earlier when a pass moves the law by less than .1 of
-        its standard deviation (or there is none).
+        SVI goes on from the Laplace fits, tag by tag.
     steps, particles : int
-        Of SVI, a tag and pass, see `maloc.infer.svi`.
+        Of SVI, see `maloc.infer.svi`; steps a multiple of 50.
     draws, seed : int
         As for `maloc.infer.laplace`.
     progress : bool
@@ -142,12 +133,6 @@ def fit(
         If tags' names are not all different, or a hierarchical parameter is none of the model's.
     FitError
         If no tag can be fitted.
-
-    References
-    ----------
-    Hoffman, Blei, Wang & Paisley (2013) Stochastic variational inference. J. Mach. Learn. Res. 14:
-    1303-1347; Hughes & Sudderth (2013) Memoized online variational inference. NeurIPS 26 (what
-    each tag says is kept, so that the law needs no step size).
     """
     from maloc._jax import jax
     from maloc.infer._tags import Tags
@@ -165,30 +150,27 @@ def fit(
         if not tags.fits:
             first = next(iter(tags.failed.items()))
             raise FitError(f"no tag can be fitted; {first[0]}: {first[1]}")
-        tags.learn()
         if method == "svi":
-            key, rng = jax.random.key(seed), np.random.default_rng(seed)
-            for number in range(passes):
-                before = tags.mean
-                order = rng.permutation(list(tags.fits))
-                with _bar(len(order), f"svi, pass {number + 1}", progress) as bar:
-                    for some in np.array_split(order, -(-len(order) // batch)):
-                        key, own = jax.random.split(key)
-                        tags.improve(own, [str(s) for s in some], steps, particles, bar)
-                        tags.learn()
-                tags.trace.append(tags.bound())
-                if tags.moved(before) < _STILL:
-                    break
-            else:
-                if hierarchical and passes > 1:
-                    warnings.append(f"the law of the tags still moves after {passes} passes")
+            keys = jax.random.split(jax.random.key(seed), len(tags.fits))
+            with _bar(len(tags.fits), "svi", progress) as bar:
+                for key, tag in zip(keys, list(tags.fits), strict=True):
+                    tags.improve(key, tag, steps, particles)
+                    bar.update()
     except KeyboardInterrupt:
         if not tags.fits:
             raise
-        tags.learn()
         warnings.append("interrupted: what was done is kept")
-    found = TagsFit(tags.finished(), tags.failed, tuple(hierarchical), tags.mean, tags.covariance)
-    return replace(found, trace=tags.trace, warnings=tuple(warnings))
+    tags.learn()
+    trace = sum((fit.history for fit in tags.better.values()), np.zeros(steps))
+    return TagsFit(
+        tags.finished(),
+        tags.failed,
+        tuple(hierarchical),
+        tags.mean,
+        tags.covariance,
+        trace if tags.better else np.zeros(0),
+        tuple(warnings),
+    )
 
 
 def _bar(total: int, what: str, show: bool):

@@ -21,7 +21,6 @@ from scipy.optimize import minimize
 from maloc._jax import jax
 from maloc.errors import InputError
 from maloc.infer._model import ChainModel
-from maloc.infer.marginal import MarginalFit
 
 __all__ = [
     "Law",
@@ -155,30 +154,33 @@ def expected_law(mean: np.ndarray, covariance: np.ndarray) -> Law:
 
 
 def reweighted(
-    fit: MarginalFit, rows: np.ndarray, old: Law, new: Law, sure: np.ndarray | None = None
-) -> MarginalFit:
-    """A Laplace fit under another law: parameters exactly, the path along with them.
+    u: np.ndarray,
+    covariance: np.ndarray,
+    rows: np.ndarray,
+    old: Law,
+    new: Law,
+    sure: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (k,) and covariance of normal parameters under another law than they were fitted under.
 
     Parameters
     ----------
-    fit : MarginalFit
+    u : (k,) array
+    covariance : (k, k) array
     rows : (h,) array of int
         Places of the shared parameters in u.
     old, new : Law
-        That it was fitted under, and the new one.
+        That they were fitted under, and the new one.
     sure : (h, h) array, optional
         Covariance of the new law's location, which widens the parameters' own.
     """
-    weight = np.zeros((2, len(fit.u)))
+    weight, where = np.zeros((2, len(u))), np.zeros((2, len(u)))
     weight[0, rows], weight[1, rows] = old.scale**-2, new.scale**-2
-    where = np.zeros((2, len(fit.u)))
     where[0, rows], where[1, rows] = old.loc, new.loc
-    precision = np.linalg.inv(fit.covariance)
-    covariance = np.linalg.inv(precision + np.diag(weight[1] - weight[0]))
-    pull = precision @ fit.u + weight[1] * where[1] - weight[0] * where[0]
-    u = covariance @ pull
+    precision = np.linalg.inv(covariance)
+    narrow = np.linalg.inv(precision + np.diag(weight[1] - weight[0]))
+    moved = narrow @ (precision @ u + weight[1] * where[1] - weight[0] * where[0])
     if sure is not None:
-        gain = covariance[:, rows] * new.scale**-2
-        covariance = covariance + gain @ sure @ gain.T
-    x = fit.x + np.einsum("k,ktd->td", u - fit.u, fit.slope)
-    return fit._replace(x=x, u=u, covariance=covariance)
+        gain = narrow[:, rows] * new.scale**-2
+        narrow = narrow + gain @ sure @ gain.T
+    return moved, narrow

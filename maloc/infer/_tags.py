@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from maloc._jax import jax
-from maloc._stages import Stages
+from maloc._jax import jnp
 from maloc.errors import FitError
 from maloc.infer import _population as law
+from maloc.infer._guide import Guide
+from maloc.infer._guide import _given as given
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer.laplace import laplace
 from maloc.infer.result import Fit, LaplaceFit
@@ -33,10 +35,8 @@ class Tags:
         self.prior = law.Law(np.zeros(0), np.ones(0))
         self.fits: dict[str, LaplaceFit] = {}
         self.better: dict[str, SviFit] = {}
-        self.laws: dict[str, law.Law] = {}
         self.sites: dict[str, law.Site] = {}
         self.failed: dict[str, str] = {}
-        self.trace: list[float] = []
         self.mean, self.covariance = np.zeros(0), np.zeros((0, 0))
 
     def start(self, toas, bar) -> None:
@@ -55,7 +55,7 @@ class Tags:
                 else:
                     self.fits[toa.tag] = fit
                     m = fit.marginal
-                    self._note(toa.tag, m.u, m.covariance, self.prior)
+                    self._note(toa.tag, m.u, m.covariance)
                 bar.update()
 
     def _look(self, data) -> None:
@@ -66,12 +66,11 @@ class Tags:
         place = {s.name: s.place.start for s in cm.globals}
         return np.array([place[name] for name in self.names], int)
 
-    def _note(self, tag: str, u, covariance, under: law.Law) -> None:
-        if not self.names:
-            return
-        rows = self._rows(self.fits[tag].cm)
-        self.laws[tag] = under
-        self.sites[tag] = law.site_of(u[rows], covariance[np.ix_(rows, rows)], under)
+    def _note(self, tag: str, u, covariance) -> None:
+        if self.names:
+            rows = self._rows(self.fits[tag].cm)
+            own = covariance[np.ix_(rows, rows)]
+            self.sites[tag] = law.site_of(u[rows], own, self.prior)
 
     def learn(self) -> None:
         """The law's posterior from all sites."""
@@ -79,73 +78,51 @@ class Tags:
             found = law.learn_population(list(self.sites.values()), self.prior)
             self.mean, self.covariance = found
 
-    def moved(self, before: np.ndarray) -> float:
-        """How far the law has moved, in its standard deviations."""
-        sd = np.sqrt(np.diag(self.covariance))
-        return float(np.max(np.abs(self.mean - before) / sd, initial=0.0))
+    def improve(self, key, tag: str, steps: int, particles: int) -> None:
+        """SVI of a tag, under the model's own law: that alone keeps its site free of the others'.
 
-    def _now(self, tag: str) -> LaplaceFit:
-        """The Laplace fit of a tag under the law as it is known now."""
-        fit = self.fits[tag]
-        if not self.names:
-            return fit
-        rows, now = self._rows(fit.cm), law.expected_law(self.mean, self.covariance)
-        moved = law.reweighted(fit.marginal, rows, self.prior, now)
-        args = (fit.args[0], now, *fit.args[2:])
-        stages = Stages(fit.seconds)
-        return LaplaceFit(fit.cm, args, fit.options, stages, fit.warnings, moved, self.n, self.seed)
-
-    def improve(self, key, tags: list[str], steps: int, particles: int, bar) -> None:
-        """SVI of some tags under the law as it is known now."""
-        for tag, own in zip(tags, jax.random.split(key, len(tags)), strict=True):
-            how: dict[str, Any] = {"steps": steps, "particles": particles, "progress": False}
-            how |= {"draws": self.n, "seed": self.seed, "checks": _RATIOS}
-            try:
-                fit = svi(own, self._now(tag), **how)
-            except FitError as problem:
-                self.failed[tag] = f"svi: {problem}"
-                for kept in (self.fits, self.sites, self.laws, self.better):
-                    kept.pop(tag, None)
-            else:
-                self.better[tag] = fit
-                c = np.asarray(fit.guide.c)
-                under = fit.args[1] if self.names else self.prior
-                self._note(tag, np.asarray(fit.guide.u), c @ c.T, under)
-            bar.update()
-
-    def bound(self) -> float:
-        """Evidence bound of all tags together, under the law as it is known now."""
-        total = sum(fit.elbo for fit in self.better.values())
-        if not self.names:
-            return total
-        h, now = len(self.names), law.expected_law(self.mean, self.covariance)
-        for tag, fit in self.better.items():
-            rows, c = self._rows(fit.cm), np.asarray(fit.guide.c)
-            u, variance = np.asarray(fit.guide.u)[rows], np.diag(c @ c.T)[rows]
-            for sign, one in ((1, now), (-1, self.laws[tag])):
-                square = ((u - one.loc) ** 2 + variance) / one.scale**2
-                total -= sign * float(np.sum(np.log(one.scale) + 0.5 * square))
-        variance = np.diag(self.covariance)
-        each = -variance[h:] - 0.5 * variance[:h] / now.scale**2
-        middle = np.concatenate([self.prior.loc, np.full(h, law.TAU[0])])
-        wide = np.concatenate([self.prior.scale, np.full(h, law.TAU[1])])
-        own = -np.log(wide) - 0.5 * ((self.mean - middle) ** 2 + variance) / wide**2
-        entropy = 0.5 * (np.linalg.slogdet(self.covariance)[1] + 2 * h)
-        return total + len(self.better) * float(each.sum()) + float(own.sum()) + entropy
+        Under a learnt law that is narrow the site would be a small difference of two large
+        precisions, one of them with Monte Carlo noise.
+        """
+        how: dict[str, Any] = {"steps": steps, "particles": particles, "progress": False}
+        how |= {"draws": self.n, "seed": self.seed, "checks": _RATIOS}
+        try:
+            fit = svi(key, self.fits[tag], **how)
+        except FitError as problem:
+            self.failed[tag] = f"svi: {problem}"
+            del self.fits[tag]
+            self.sites.pop(tag, None)
+            return
+        self.better[tag] = fit
+        c = np.asarray(fit.guide.c)
+        self._note(tag, np.asarray(fit.guide.u), c @ c.T)
 
     def finished(self) -> dict[str, Fit]:
         """Fits of all tags under the law as it is known in the end, its uncertainty included."""
-        out: dict[str, Fit] = {}
-        for tag, fit in self.fits.items():
-            if tag in self.better:
-                out[tag] = self.better[tag]
-            elif self.names and len(self.mean):
-                now, h = self._now(tag), len(self.names)
-                rows, one = self._rows(fit.cm), law.expected_law(self.mean, self.covariance)
-                sure = self.covariance[:h, :h]
-                wide = law.reweighted(fit.marginal, rows, self.prior, one, sure)
-                now.marginal = wide
-                out[tag] = now
-            else:
-                out[tag] = fit
+        return {tag: self._under_law(self.better.get(tag, fit)) for tag, fit in self.fits.items()}
+
+    def _under_law(self, fit: Any) -> Fit:
+        if not self.names or not len(self.mean):
+            return fit
+        rows, h = self._rows(fit.cm), len(self.names)
+        now = law.expected_law(self.mean, self.covariance)
+        how = (rows, self.prior, now, self.covariance[:h, :h])
+        out = copy.copy(fit)
+        out.args, out._known = (fit.args[0], now, *fit.args[2:]), {}
+        if isinstance(fit, SviFit):
+            out.guide = _guide_under(fit.guide, *how)
+        else:
+            m = fit.marginal
+            u, covariance = law.reweighted(m.u, m.covariance, *how)
+            x = m.x + np.einsum("k,ktd->td", u - m.u, m.slope)
+            out.marginal = m._replace(x=x, u=u, covariance=covariance)
         return out
+
+
+def _guide_under(guide: Guide, *how) -> Guide:
+    """A guide whose parameters are reweighted; the path given them stays as it is."""
+    c = np.asarray(guide.c)
+    u, covariance = law.reweighted(np.asarray(guide.u), c @ c.T, *how)
+    x, root, carry = given(guide, jnp.asarray(u) - guide.u)
+    c = jnp.asarray(np.linalg.cholesky(covariance))
+    return guide._replace(x=x, u=jnp.asarray(u), c=c, root=root, carry=carry)

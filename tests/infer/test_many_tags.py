@@ -10,7 +10,6 @@ import maloc
 from maloc.errors import FitError, InputError
 from maloc.infer import _population as law
 from maloc.infer import trust
-from maloc.infer.marginal import MarginalFit
 from tests.infer import cases
 
 HOW = {"movement": "rw", "error": "gaussian", "progress": False}
@@ -60,13 +59,9 @@ def test_sites_and_reweighting_are_exact_for_normals():
         return covariance @ (data @ at + weight * middle), covariance
 
     u, covariance = posterior(old)
-    slope = rng.normal(size=(3, 4, 2))
-    parts = {"value": 0.0, "factor": None, "evaluations": 1, "converged": True}
-    fit = MarginalFit(x=np.zeros((4, 2)), u=u, slope=slope, covariance=covariance, **parts)  # pyright: ignore
-    moved = law.reweighted(fit, rows, old, new)
-    for a, b in zip((moved.u, moved.covariance), posterior(new), strict=True):
+    moved = law.reweighted(u, covariance, rows, old, new)
+    for a, b in zip(moved, posterior(new), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9)
-    np.testing.assert_allclose(moved.x, np.einsum("k,ktd->td", moved.u - u, slope))
     site = law.site_of(u[rows], covariance[np.ix_(rows, rows)], old)
     margin = np.linalg.inv(np.linalg.inv(data)[np.ix_(rows, rows)])
     np.testing.assert_allclose(site.precision, margin, rtol=1e-9)
@@ -99,11 +94,9 @@ def test_several_tags_under_a_law(toas, monkeypatch):
 
     alone = maloc.tags.fit(found[:1], hierarchical=("sigma_step",), **HOW)
     monkeypatch.setattr(_tags, "laplace", laplace)
-    fits = maloc.tags.fit(
-        found, hierarchical=("sigma_step",), method="svi", steps=50, passes=2, batch=2, **HOW
-    )
+    fits = maloc.tags.fit(found, hierarchical=("sigma_step",), method="svi", steps=50, **HOW)
     assert fits.failed == {"T1": "no"} and set(fits.fits) == {"T0", "T2", "T3"}
-    assert 1 <= len(fits.trace) <= 2 and np.isfinite(fits.trace).all()
+    assert fits.trace.shape == (50,) and np.isfinite(fits.trace).all()
     row = fits.population()[0]
     assert row["name"] == "sigma_step" and row["median_low"] < row["median"] < row["median_high"]
     cm = fits.fits["T0"].cm
