@@ -114,7 +114,7 @@ def fit(
     method : {"laplace", "svi"}
         SVI goes on from the Laplace fits, tag by tag.
     steps, particles : int
-        Of SVI, see `maloc.infer.svi`; steps a multiple of 50.
+        Of SVI, see `maloc.infer.svi`.
     draws, seed : int
         As for `maloc.infer.laplace`.
     progress : bool
@@ -161,14 +161,14 @@ def fit(
             raise
         warnings.append("interrupted: what was done is kept")
     tags.learn()
-    trace = sum((fit.history for fit in tags.better.values()), np.zeros(steps))
+    histories = [fit.history for fit in tags.better.values()]
     return TagsFit(
         tags.finished(),
         tags.failed,
         tuple(hierarchical),
         tags.mean,
         tags.covariance,
-        trace if tags.better else np.zeros(0),
+        np.sum(histories, axis=0) if histories else np.zeros(0),
         tuple(warnings),
     )
 
