@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpyro
 import numpyro.distributions as dist
 
@@ -79,7 +81,7 @@ def within_limits(data, time) -> None:
     numpyro.factor("schedule", jnp.where(data.interval_known, inside, 0.0))
 
 
-def arrivals(data, position, emission, ratio, error: str, clock_sd=None, down=0.0) -> None:
+def arrivals(data, position, emission, ratio, error: str, clock_sd=None, down: Any = 0.0) -> None:
     """Sites of the arrival error, and the arrivals themselves; ``ratio`` () or (T,) of speeds.
 
     ``down`` (T, R): squared vertical distances, m2.

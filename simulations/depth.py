@@ -98,7 +98,7 @@ def variants(study: Study, sensor_sd: float) -> dict[str, ArrivalTimes]:
 
 def main(argv: list[str] | None = None) -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--tracks", type=int, default=1)
     parser.add_argument("--pings", type=int, default=30)
     parser.add_argument("--sd", type=float, default=20.0, help="of the depth, m")

@@ -13,7 +13,7 @@ from maloc._depth_options import with_depth
 from maloc._load import Source, TrackOptions
 from maloc._log import Log
 from maloc.cli import app
-from maloc.data import read_detections, read_receivers, read_tags, toa_matrix
+from maloc.data import WaterColumn, read_detections, read_receivers, read_tags, toa_matrix
 from maloc.errors import InputError
 from simulations import depth as study
 
@@ -109,9 +109,9 @@ def test_depth_that_was_asked_for(files):
     assert with_depth(source, asked(folder), log).toas[0].column is None
     assert "are not used: the track is flat" in log.notices[0]
     fixed = with_depth(source, asked(folder, depth="7.5"), log).toas[0]
-    assert fixed.column.sensor_sd == 0 and (fixed.depth == 7.5).all()
+    assert fixed.column == WaterColumn(None, 0.0) and (np.asarray(fixed.depth) == 7.5).all()
     found = with_depth(source, asked(folder, depth="sensor", bottom="80"), log).toas[0]
-    assert (found.column.bottom, found.column.sensor_sd) == (80.0, 1.0)
+    assert found.column == WaterColumn(80.0, 1.0)
     silent = source._replace(toas=[made.toa.replace(depth=None)])
     with pytest.raises(InputError, match="sent no depths"):
         with_depth(silent, asked(folder, depth="sensor"), log)

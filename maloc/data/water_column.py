@@ -37,9 +37,9 @@ class WaterColumn:
     sensor_sd: float = 1.0
 
     def __post_init__(self) -> None:
-        flat = self.bottom is None or hasattr(self.bottom, "depth_at")
-        if not flat and not (np.isfinite(self.bottom) and self.bottom > 0):
-            raise InputError(f"a bottom at {self.bottom:g} m is not below the surface")
+        if self.bottom is not None and not hasattr(self.bottom, "depth_at"):
+            if not (np.isfinite(self.bottom) and self.bottom > 0):
+                raise InputError(f"a bottom at {self.bottom:g} m is not below the surface")
         if not (np.isfinite(self.sensor_sd) and self.sensor_sd >= 0):
             raise InputError(f"a depth sensor's sd of {self.sensor_sd:g} m is negative")
 
