@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from maloc.models.clock_sync import clock_sync
 from maloc.models.detection_only import detection_only
 from maloc.models.independent import independent
 from maloc.models.joint import joint
@@ -10,6 +11,7 @@ from maloc.models.toa_track import toa_track
 from maloc.models.unknown_interval import unknown_interval
 
 __all__ = [
+    "clock_sync",
     "detection_only",
     "independent",
     "joint",

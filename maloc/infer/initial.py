@@ -40,13 +40,14 @@ def initial_values(
     cm : ChainModel
     args : tuple
         The model's arguments; arrival times (`ToaData`) or encounter histories (`EncounterData`) as
-        the first are used, other models start from zero and the prior medians.
+        the first are used; other models start from zero, and from the prior medians but for what a
+        dict `start` of the data gives.
     positions : (T, 2) array, optional
         Point positions (m) to start from in place of the array's centre.
     """
-    medians = cm.prior_medians(args)
     length = cm.length(args)
     data = args[0] if args else None
+    medians = cm.prior_medians(args) | getattr(data, "start", {})
     u = cm.flat_globals(medians)
     x = np.zeros((length, cm.d))
     put_depth(cm, x, data)

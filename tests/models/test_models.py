@@ -25,6 +25,12 @@ DETECTION = {"detection": ("halfnormal", "logistic", "hazard"), "distance": (squ
 DETECTION |= SWITCHES
 MOVING = DETECTION | {"movement": ("rw", "ctcrw"), "hierarchical": (False, True)}
 OPTIONS = {
+    "clock_sync": {
+        "error": ("ddetect", "gaussian"),
+        "sound_speed": ("auto", "given", "estimated"),
+        "noise": ("estimated", "given"),
+        "position_sd": (1.0, 0.0),
+    },
     "independent": DETECTION,
     "detection_only": MOVING,
     "known_interval": MOVING,
