@@ -121,7 +121,13 @@ def draw_truth(key, model: Callable, data, site: str, **options) -> tuple[dict, 
     key_latent, key_site = jax.random.split(key)
     some = tuple(options.items())
     truth, laws = prior_draw(key_latent, data, model=model, observed=(site,), options=some)
-    return {k: np.asarray(v) for k, v in truth.items()}, laws[site].sample(key_site)
+    return {k: np.asarray(v) for k, v in truth.items()}, drawn(laws[site], key_site)
+
+
+@jax.jit
+def drawn(law, key):
+    """A draw of a law."""
+    return law.sample(key)
 
 
 def simulate(key, model: Callable, data: ToaData, **options) -> tuple[dict, ToaData]:

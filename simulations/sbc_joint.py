@@ -63,15 +63,15 @@ def simulate(key, model, data: JointData) -> tuple[dict, JointData]:
     truth = {name: np.asarray(value) for name, value in truth.items()}
     law = laws["encounter"].base_dist
     if data.silence == "given":
-        heard = law.sample(key_heard)
+        heard = sbc.drawn(law, key_heard)
     else:
         heard = np.zeros(np.shape(data.heard), bool)
         for key_again in jax.random.split(key_heard, 10_000):
             again = ~heard.any(axis=1)
             if not again.any():
                 break
-            heard = np.where(again[:, None], np.asarray(law.law.sample(key_again)), heard)
-    arrivals = laws["arrival"].sample(key_arrival)
+            heard = np.where(again[:, None], np.asarray(sbc.drawn(law.law, key_again)), heard)
+    arrivals = sbc.drawn(laws["arrival"], key_arrival)
     heard = jnp.asarray(heard)
     encounters = dataclasses.replace(data.encounters, heard=heard)
     ranges = jnp.where(heard, arrivals, 0.0)

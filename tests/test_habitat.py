@@ -196,6 +196,7 @@ def test_the_command(tmp_path, fitted):
     assert signed(found.position).min() > -1.0
 
 
+@pytest.mark.extended
 def test_the_study_in_small(capsys):
     from simulations import shores
 

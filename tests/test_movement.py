@@ -153,15 +153,19 @@ def _mp_ctcrw_log_prob(value, dt, sigma_vel, t05, centre, spread):
     return total
 
 
+@jax.jit
+def value_and_slopes(sigma_vel, t05, value):
+    return jax.value_and_grad(lambda s, t: ctcrw(s, t).log_prob(value), argnums=(0, 1))(
+        sigma_vel, t05
+    )
+
+
 @pytest.mark.parametrize("t05", [1e-3, 1.0, 60.0, 1e4, 1e7])
 def test_ctcrw_value_and_gradients_against_mpmath(t05):
     """beta dt runs from 6e-8 to 3e6 here."""
     value = random_path(ctcrw(t05=max(t05, 0.5)), seed=3)
 
-    def ours(sigma_vel, t):
-        return ctcrw(sigma_vel, t).log_prob(value)
-
-    got, grads = jax.value_and_grad(ours, argnums=(0, 1))(0.4, t05)
+    got, grads = value_and_slopes(0.4, t05, value)
     with mpmath.workdps(70):
         args = (value, DT, mpmath.mpf(0.4), mpmath.mpf(t05), CENTRE, 30)
 
@@ -177,7 +181,7 @@ def test_ctcrw_value_and_gradients_against_mpmath(t05):
 
 def test_ctcrw_gradient_in_the_path_is_the_dense_precision_times_deviation():
     value = random_path(ctcrw(), seed=4)
-    got = jax.grad(lambda v: ctcrw().log_prob(v))(jnp.asarray(value))
+    got = jax.jit(jax.grad(lambda v: ctcrw().log_prob(v)))(value)
     cov = oracles.as_floats(dense_ctcrw())
     for axis in range(2):
         deviation = np.r_[value[:, 0, axis] - CENTRE[axis], value[:, 1, axis]]
@@ -196,12 +200,12 @@ def test_brownian_gradients():
 @pytest.mark.parametrize("make", [ctcrw, brownian])
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_finite_at_extreme_steps(make, scale):
-    law = make(dt=DT * scale)
-    value = random_path(law, seed=6)
-    score, slope = jax.value_and_grad(law.log_prob)(jnp.asarray(value))
-    assert np.isfinite(score) and np.all(np.isfinite(slope))
-    parameters = jax.grad(lambda p: make(p, dt=DT * scale).log_prob(value))(0.5)
-    assert np.isfinite(parameters)
+    value = random_path(make(dt=DT * scale), seed=6)
+    both = jax.jit(
+        jax.value_and_grad(lambda v, p: make(p, dt=DT * scale).log_prob(v), argnums=(0, 1))
+    )
+    score, slopes = both(jnp.asarray(value), 0.5)
+    assert np.isfinite(score) and all(np.all(np.isfinite(slope)) for slope in slopes)
 
 
 # -- draws -----------------------------------------------------------------------------------------
@@ -225,7 +229,7 @@ def _is_standard_normal(z):
 
 
 def test_ctcrw_draws_follow_the_dense_normal():
-    paths = np.asarray(ctcrw().sample(jax.random.key(7), (20_000,)))
+    paths = np.asarray(jax.jit(lambda key: ctcrw().sample(key, (20_000,)))(jax.random.key(7)))
     cov = oracles.as_floats(dense_ctcrw())
     z = [
         _whitened(
@@ -239,7 +243,7 @@ def test_ctcrw_draws_follow_the_dense_normal():
 
 
 def test_brownian_draws_follow_the_dense_normal():
-    paths = np.asarray(brownian().sample(jax.random.key(8), (20_000,)))
+    paths = np.asarray(jax.jit(lambda key: brownian().sample(key, (20_000,)))(jax.random.key(8)))
     cov = oracles.brownian_covariance(TIMES, 0.7, 30.0)
     z = [_whitened(paths[:, :, axis], cov, CENTRE[axis]) for axis in range(2)]
     _is_standard_normal(np.concatenate(z, axis=1))
@@ -275,15 +279,16 @@ def test_shapes_batches_and_vmap_agree(make):
     np.testing.assert_allclose(batch.variance[1], one.variance, rtol=1e-14)
     paths = jax.jit(lambda key: batch.sample(key, (4,)))(jax.random.key(0))
     assert paths.shape == (4, 3, *one.event_shape)
-    scores = batch.log_prob(paths)
+    log_prob = jax.jit(lambda law, v: law.log_prob(v))
+    scores = log_prob(batch, paths)
     assert scores.shape == (4, 3)
-    np.testing.assert_allclose(one.log_prob(paths[:, 1]), scores[:, 1], rtol=1e-12)
-    singly = [float(one.log_prob(p)) for p in paths[:, 1]]
+    np.testing.assert_allclose(log_prob(one, paths[:, 1]), scores[:, 1], rtol=1e-12)
+    singly = [float(log_prob(one, p)) for p in paths[:, 1]]
     np.testing.assert_allclose(scores[:, 1], singly, rtol=1e-12)
-    mapped = jax.vmap(lambda s, v: make(s).log_prob(v))(scales, paths[0])
+    mapped = jax.jit(jax.vmap(lambda s, v: make(s).log_prob(v)))(scales, paths[0])
     np.testing.assert_allclose(mapped, scores[0], rtol=1e-12)
-    laws = jax.vmap(make)(scales)  # a batch of instances, as a pytree
-    mapped = jax.vmap(lambda law, v: law.log_prob(v))(laws, paths[0])
+    laws = jax.jit(jax.vmap(make))(scales)  # a batch of instances, as a pytree
+    mapped = jax.jit(jax.vmap(lambda law, v: law.log_prob(v)))(laws, paths[0])
     np.testing.assert_allclose(mapped, scores[0], rtol=1e-12)
 
 
@@ -291,10 +296,11 @@ def test_a_batch_of_steps_and_centres():
     dt = np.stack([DT, DT[::-1]])
     centres = np.stack([CENTRE, -CENTRE])
     law = CTCRW(dt, 0.4, jnp.array([20.0, 90.0]), centres, 30.0)
-    value = law.sample(jax.random.key(1))
+    value = jax.jit(law.sample)(jax.random.key(1))
+    log_prob = jax.jit(lambda law, v: law.log_prob(v))
     for k, t05 in enumerate([20.0, 90.0]):
         one = CTCRW(dt[k], 0.4, t05, centres[k], 30.0)
-        assert float(law.log_prob(value)[k]) == pytest.approx(float(one.log_prob(value[k])))
+        assert float(log_prob(law, value)[k]) == pytest.approx(float(log_prob(one, value[k])))
         np.testing.assert_allclose(law.mean[k], one.mean)
 
 

@@ -85,6 +85,7 @@ def test_only_heard_pings():
     assert inside.sum() >= len(inside) - 1
 
 
+@pytest.mark.extended
 def test_covariates_and_nuts_agrees_with_laplace():
     rng = np.random.default_rng(8)
     heard, positions, xy, listening, covariates = moorings(rng, 800, coefficient=0.7)

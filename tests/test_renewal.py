@@ -147,7 +147,10 @@ def test_silence_is_certain_where_nobody_can_hear():
         np.testing.assert_allclose(found, value, rtol=1e-3)
 
 
-@pytest.mark.parametrize("law", [LAW, Poisson(1.5, 0.05), Stable(1.5, 0.1), uniform_law(0, 3)])
+WIDE = pytest.param(uniform_law(0, 3), marks=pytest.mark.extended)
+
+
+@pytest.mark.parametrize("law", [LAW, Poisson(1.5, 0.05), Stable(1.5, 0.1), WIDE])
 def test_gradient_and_curvature_agree_with_differences(law):
     gaps, log_q = packed([4.4, 9.3, 33.0], law=law, path=varying)
 

@@ -207,7 +207,7 @@ class TestSchedule:
         assert found.sd > found.threshold
         assert found.p == 1e-3
 
-    @pytest.mark.parametrize("kind", ["random", "stable"])
+    @pytest.mark.parametrize("kind", [pytest.param("random", marks=pytest.mark.extended), "stable"])
     def test_implied_gaps_are_the_true_ones(self, kind):
         """Even where the declared limits say something else."""
         times, emission, _ = cases.toa(kind=kind, unheard=())

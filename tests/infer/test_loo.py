@@ -70,6 +70,7 @@ def test_late_arrivals_speak_for_the_law_that_knows_them(fits):
     assert table.loc["gaussian", "elpd_diff"] > 2 * table.loc["gaussian", "dse"]
 
 
+@pytest.mark.extended
 @pytest.mark.filterwarnings("ignore:Estimated shape parameter")
 def test_sampled_fits_say_the_same(laplace_fit, sampled_fit):
     one = loo.ping_log_likelihood(laplace_fit, 40)

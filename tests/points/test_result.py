@@ -51,6 +51,7 @@ def test_table_has_a_row_a_ping_with_depth_where_found():
     assert "3 of 3 pings" in repr(Points(**fields()))
 
 
+@pytest.mark.extended
 def test_a_position_is_the_same_alone_and_among_others():
     """Widths, batches and padding must not matter: each ping alone, and with silent receivers."""
     rng = np.random.default_rng(1)
