@@ -104,7 +104,7 @@ def _read(file: Path) -> list[StoredTrack]:
     from maloc.depth import DepthPath
     from maloc.infer._bridge import PathDraws
     from maloc.infer._depths import DepthDraws
-    from maloc.infer.predict import in_order
+    from maloc.infer._paths import in_order
 
     def group(name: str | None):
         with xr.open_dataset(file, group=name, engine="h5netcdf") as found:

@@ -152,28 +152,28 @@ def _movement(fit: Fit):
     """What a prediction needs besides the path's draws: see `maloc.predict`."""
     import xarray as xr
 
-    from maloc.infer import predict
+    from maloc.infer import _paths
 
-    if not any(issubclass(s.law, predict.MarkovPath) for s in fit.cm.chain):
+    if not any(issubclass(s.law, _paths.MarkovPath) for s in fit.cm.chain):
         return None
-    site = predict.path_site(fit.cm)
+    site = _paths.path_site(fit.cm)
     x, u = fit.flat_draws()
     lead = x.shape[:2]
     flat = (v.reshape(-1, *v.shape[2:]) for v in (x, u))
-    read = predict.read_law(fit, *flat, emission=False)
+    read = _paths.read_law(fit, *flat, emission=False)
     n = fit.n_states
     tag = read["tag"][:n] if "tag" in read else np.zeros(n, int)
     first = np.unique(tag, return_index=True)[1]
-    told, time = predict.clock_parts(fit, read)
+    told, time = _paths.clock_parts(fit, read)
     variables = {
         "time": (("state",), time),
         "told": (("state",), told),
         "tag": (("state",), tag),
     }
-    deep = [f"depth_{name}" for name in (*predict.DepthPath.scale_names, "centre")]
+    deep = [f"depth_{name}" for name in (*_paths.DepthPath.scale_names, "centre")]
     for name in (*site.law.scale_names, "centre", *deep):
         if name in read:
-            value = predict.by_tag(read[name], first, name.endswith("centre"))
+            value = _paths.by_tag(read[name], first, name.endswith("centre"))
             axis = "down" if name == "depth_centre" else "axis"
             dims = ("chain", "draw", "which", axis)[: value.ndim + 1]
             variables[name] = (dims, value.reshape(*lead, *value.shape[1:]))

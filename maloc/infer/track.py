@@ -16,7 +16,7 @@ from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import FitError
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
-from maloc.infer.predict import path_draws
+from maloc.infer._paths import path_draws
 from maloc.infer.result import Fit
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ import pytest
 import maloc.infer
 from maloc._jax import jnp
 from maloc.errors import FitError, InputError
-from maloc.infer.predict import TrackDraws, mixture, path_draws
+from maloc.infer._paths import path_draws
+from maloc.infer.predict import TrackDraws, mixture
 from maloc.movement import CTCRW, OU, Brownian
 from tests import oracles
 from tests.infer import cases

@@ -17,7 +17,7 @@ from maloc._predict_run import run_predict
 from maloc.cli import app
 from maloc.errors import InputError
 from maloc.infer._export import _movement, write_posterior
-from maloc.infer.predict import path_draws
+from maloc.infer._paths import path_draws
 from maloc.movement import OU
 from maloc.predict import prediction_table, read_tracks, regular_times
 from maloc.statespace import SoftBox
