@@ -12,13 +12,14 @@ chapters 5 and 9 (iterated extended filter, its smoother).
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from maloc.classical._steps import LAWS, Law, steps
 from maloc.classical.kalman import KalmanTrack, States, smoothed_by
-from maloc.errors import FitError, InputError
+from maloc.errors import FitError, InputError, MalocWarning
 
 if TYPE_CHECKING:
     from maloc.data import ArrivalTimes
@@ -60,6 +61,11 @@ def ek_toa(
         If `movement` or a parameter is unknown, or fewer than 3 pings were heard by 3 receivers.
     FitError
         If no parameters of finite energy are found.
+
+    Warns
+    -----
+    MalocWarning
+        If pings have one first arrival time: the first of them counts.
     """
     if movement not in LAWS:
         raise InputError(f"movement '{movement}' is none of {', '.join(LAWS)}")
@@ -72,6 +78,9 @@ def ek_toa(
     first = np.nanmin(toa.toa[rows], axis=1)
     order = np.argsort(first, kind="stable")
     order = order[np.concatenate([[True], np.diff(first[order]) > 0])]
+    if lost := len(rows) - len(order):
+        text = f"{lost} pings have another's first arrival time and take no part"
+        warnings.warn(text, MalocWarning, stacklevel=2)
     time, rows = first[order], rows[order]
     ranges = (toa.toa[rows] - time[:, None]) * np.asarray(toa.sound_speed)[rows, None]
     place = np.asarray(toa.receivers.xy, float)

@@ -10,13 +10,14 @@ Johnson et al. (2008) Ecology 89: 1208-1215 (CTCRW).
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from maloc.classical._steps import LAWS, Law, steps
-from maloc.errors import FitError, InputError
+from maloc.errors import FitError, InputError, MalocWarning
 
 if TYPE_CHECKING:
     import polars as pl
@@ -152,6 +153,11 @@ def kalman(
     FitError
         If no parameters of finite energy are found.
 
+    Warns
+    -----
+    MalocWarning
+        If positions have no emission time, or one time's: of those at one time the first counts.
+
     Notes
     -----
     The first state is the first position with its covariance (a flat prior), at a velocity of sd
@@ -170,6 +176,9 @@ def kalman(
     order = np.lexsort([~usable, points.emission])
     order = order[np.isfinite(points.emission[order])]
     order = order[np.unique(points.emission[order], return_index=True)[1]]
+    if lost := int(usable.sum() - usable[order].sum()):
+        text = f"{lost} positions have no emission time, or another's, and take no part"
+        warnings.warn(text, MalocWarning, stacklevel=2)
     if usable[order].sum() < 3:
         raise InputError(f"{usable[order].sum()} positions can be used, a track needs 3")
     order = order[np.argmax(usable[order]) :]

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from maloc.classical import kalman
 from maloc.classical._steps import LAWS, steps
-from maloc.errors import InputError
+from maloc.errors import InputError, MalocWarning
 from maloc.points import Points
 
 VALUES = {"rw": (0.7,), "crw": (0.04,), "ctcrw": (0.5, 90.0)}
@@ -119,6 +119,15 @@ def test_least_energy_finds_what_was_simulated():
     found = kalman(given, "rw")
     steps = np.diff(xy, axis=0) / np.sqrt(np.diff(given.emission))[:, None]
     assert found.parameters["sigma_step"] == pytest.approx(np.sqrt(np.mean(steps**2)), rel=1e-4)
+
+
+def test_positions_without_a_time_of_their_own_are_counted():
+    given = points()
+    time = given.emission.copy()
+    time[2], time[5] = np.nan, time[4]
+    with pytest.warns(MalocWarning, match="2 positions have no emission time, or another's"):
+        found = kalman(given.replace(emission=time), parameters={"sigma_vel": 0.5, "t05": 90.0})
+    assert len(found.time) == 5
 
 
 def test_what_cannot_be_used_is_filled_in():
