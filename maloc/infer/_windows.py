@@ -17,8 +17,9 @@ import numpy as np
 from maloc._jax import jax
 from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
+from maloc.infer.mode import find_mode
 
-__all__ = ["SIZE", "Windows", "cut", "padded"]
+__all__ = ["SIZE", "Windows", "cut", "padded", "settled"]
 
 SIZE = 512  # states a window
 
@@ -108,3 +109,47 @@ class Windows:
             columns = slice(place.start * self.d, place.stop * self.d)
             band[:, columns] += sign * np.asarray(found[2])
         return value, gradient, band
+
+
+class _Held:
+    """A window as a chain of its own, its first or last state held where it is."""
+
+    has_local = False
+
+    def __init__(self, cm: ChainModel, first: bool, last: bool) -> None:
+        self.cm, self.d, self.first, self.last = cm, cm.d, first, last
+
+    def terms(self, *args):
+        return self._hold(*self.cm.terms(*args))
+
+    def exact(self, *args):
+        return self._hold(*self.cm.exact(*args))
+
+    def _hold(self, value, gradient, band):
+        gradient, band, d = np.array(gradient), np.array(band), self.d
+        if self.first:
+            gradient[0] = 0.0
+            band[:, :d] = 0.0
+            band[0, :d] = 1.0
+        if self.last:
+            gradient[-1] = 0.0
+            band[:, -d:] = 0.0
+            band[0, -d:] = 1.0
+            for column in range(d):  # what ties the state before to it
+                band[d - column :, column - 2 * d] = 0.0
+        return value, gradient, band
+
+
+def settled(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, size: int) -> np.ndarray:
+    """Path (T, d) nearer to the mode: window by window, then by windows over their seams.
+
+    A place that takes many steps, or whose curvature is indefinite on the way, holds up its own
+    window and not the whole chain.
+    """
+    x, length = np.array(x), len(x)
+    for shift in (0, size // 2):
+        for start in range(shift, length - size + 1, size - 1):
+            place = slice(start, start + size)
+            held: Any = _Held(cm, start > 0, start + size < length)
+            x[place] = find_mode(held, cut(args, start, start + size), x[place], u, tol=1e-5).x
+    return x

@@ -4,9 +4,10 @@
    precisions, are where the parameters start.
 2. The path is found window by window at these parameters. Windows overlap, and only their middles
    are kept.
-3. From there Newton's method climbs to the mode of the whole chain, whose derivatives are sums over
-   windows (`maloc.infer._windows`), and the parameters take a Newton step or two on the marginal
-   likelihood of all data. The mode is that of one piece: seams cannot show.
+3. Each window, and then each seam, goes to its mode with its ends held, and Newton's method from
+   there to that of the whole chain, whose derivatives are sums over windows
+   (`maloc.infer._windows`); the parameters take a Newton step or two on the marginal likelihood of
+   all data. The mode is that of one piece: seams cannot show.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._slant import put_depth
 from maloc.infer._stretches import straighten
-from maloc.infer._windows import SIZE, Windows, cut, padded
+from maloc.infer._windows import SIZE, Windows, cut, padded, settled
 from maloc.infer.initial import _column, _middle, _nearest, put_positions, repair
 from maloc.infer.marginal import MarginalFit, _Marginal
 from maloc.infer.mode import _factor, anneal, find_mode
@@ -103,8 +104,7 @@ def fit_long(
     with stages.time("initial"):
         x = _stitched(cm, args, start.u, positions, path, size)
     with stages.time("whole"):
-        windows: Any = Windows(cm, args, size)
-        return _newton(windows, x, start, int(args[0].valid.sum()))
+        return _newton(cm, args, x, start, size)
 
 
 def _from_blocks(cm: ChainModel, args: tuple, positions, fit_one, path, size: int) -> _Start:
@@ -166,25 +166,28 @@ def _window(cm: ChainModel, args: tuple, u: np.ndarray, positions, path) -> np.n
     return straighten(cm, args, repair(cm, args, x, u), u)
 
 
-def _newton(windows: Any, x: np.ndarray, start: _Start, n: int) -> MarginalFit:
+def _newton(cm: ChainModel, args: tuple, x, start: _Start, size: int) -> MarginalFit:
     """Mode of the whole path, and parameters by Newton steps on the marginal of all data.
 
     The shape of the parameters' precision is the blocks'; its size is that of all data, from
     second differences.
     """
-    spread = np.sqrt(np.diag(start.precision))
+    windows: Any = Windows(cm, args, size)
+    spread, n = np.sqrt(np.diag(start.precision)), int(args[0].valid.sum())
     shape = start.precision / np.outer(spread, spread)
+    x = settled(cm, args, x, start.u, size)
     marginal = _Marginal(windows, (), x, np.sqrt(start.states / n) / spread)
     u, gain, evaluations = start.u, np.inf, 0
     while gain > _SURE and evaluations < 4:
         point = marginal(u)
         evaluations += 1
-        size = np.sqrt(np.maximum(point.curvature, (0.1 * spread) ** 2))
-        covariance = np.linalg.inv(shape * np.outer(size, size))
+        root = np.sqrt(np.maximum(point.curvature, (0.1 * spread) ** 2))
+        covariance = np.linalg.inv(shape * np.outer(root, root))
         step = -covariance @ point.gradient
         gain = -0.5 * float(step @ point.gradient)
         u = u + step
         ahead = point.mode.x + np.einsum("k,ktd->td", step, point.slope)
+        ahead = settled(cm, args, ahead, u, size)
         marginal.best = point._replace(mode=point.mode._replace(x=ahead))
     mode = find_mode(windows, (), ahead, u, max_steps=25, tol=1e-5)
     factor = _factor(windows.terms(mode.x, u, (), 0.0, False)[2], windows.d)
