@@ -23,10 +23,18 @@ from numpyro.distributions.util import promote_shapes
 
 from maloc._arrival_error import ArrivalError
 from maloc._ddetect import DDetect
+from maloc._gaussian_student import GaussianStudent
 from maloc._gennorm import GeneralizedNormal, quantile
 from maloc._jax import jax, jnp
 
-__all__ = ["ArrivalError", "DDetect", "Gaussian", "GeneralizedNormal", "Student"]
+__all__ = [
+    "ArrivalError",
+    "DDetect",
+    "Gaussian",
+    "GaussianStudent",
+    "GeneralizedNormal",
+    "Student",
+]
 
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 

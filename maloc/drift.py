@@ -11,7 +11,7 @@ from numpyro.distributions import constraints
 
 from maloc._jax import jax, jnp
 
-__all__ = ["GaussMarkov", "IntervalDrift", "interval_step"]
+__all__ = ["GaussMarkov", "IntervalDrift", "RandomWalk", "interval_step"]
 
 _LOG_2PI = 1.8378770664093453
 
@@ -81,17 +81,17 @@ class GaussMarkov(_Drift):
         return jnp.concatenate([jnp.zeros(1), keep]), jnp.concatenate([jnp.ones(1), sd])
 
 
-class IntervalDrift(_Drift):
-    """How far a tag's burst interval is from its nominal one, a random walk over its pings.
+class RandomWalk(_Drift):
+    """Random walk with normal steps.
 
     Parameters
     ----------
     n : (T - 1,) array
-        Burst intervals from each state to the next; 0 where not known: the walk starts anew.
+        Length of each step, s or burst intervals; 0: the walk starts anew.
     sd : ()
-        Standard deviation of the change from one interval to the next.
+        Standard deviation of a step of length 1.
     first_sd : ()
-        Standard deviation of a first one.
+        Standard deviation of a first state.
     """
 
     arg_constraints: Any = {}
@@ -103,9 +103,23 @@ class IntervalDrift(_Drift):
 
     def _laws(self):
         known = self.n > 0
-        sd = jnp.where(known, self.sd * jnp.sqrt(jnp.maximum(self.n, 1.0)), self.first_sd)
+        sd = jnp.where(known, self.sd * jnp.sqrt(jnp.where(known, self.n, 1.0)), self.first_sd)
         keep = jnp.concatenate([jnp.zeros(1), jnp.where(known, 1.0, 0.0)])
         return keep, jnp.concatenate([jnp.full(1, self.first_sd), sd])
+
+
+class IntervalDrift(RandomWalk):
+    """How far a tag's burst interval is from its nominal one, a random walk over its pings.
+
+    Parameters
+    ----------
+    n : (T - 1,) array
+        Burst intervals from each state to the next; 0 where not known: the walk starts anew.
+    sd : ()
+        Standard deviation of the change from one interval to the next.
+    first_sd : ()
+        Standard deviation of a first one.
+    """
 
 
 def interval_step(n, before, after, sd, jitter):

@@ -9,6 +9,7 @@ from maloc.models.joint import joint
 from maloc.models.known_interval import known_interval
 from maloc.models.toa_track import toa_track
 from maloc.models.unknown_interval import unknown_interval
+from maloc.models.yaps import yaps
 
 __all__ = [
     "clock_sync",
@@ -18,4 +19,5 @@ __all__ = [
     "known_interval",
     "toa_track",
     "unknown_interval",
+    "yaps",
 ]

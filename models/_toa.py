@@ -9,7 +9,7 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
-from maloc.arrival import DDetect, Gaussian, Student
+from maloc.arrival import DDetect, Gaussian, GaussianStudent, Student
 from maloc.drift import GaussMarkov, IntervalDrift, interval_step
 from maloc.models._parts import home_range
 from maloc.movement import CTCRW, Brownian
@@ -100,6 +100,12 @@ def arrivals(data, position, emission, ratio, error: str, clock_sd=None, down: A
         )
         w = numpyro.sample("w", logit_w)
         law = DDetect(arrival, sigma, data.phi, w, background=1e-4)
+    elif error == "mixture":
+        scale = numpyro.sample("t_scale", dist.LogNormal(jnp.log(10.0), 3.0))
+        logit_w = dist.TransformedDistribution(
+            dist.Normal(-4.0, 3.0), dist.transforms.SigmoidTransform()
+        )
+        law = GaussianStudent(arrival, sigma, scale, numpyro.sample("w", logit_w))
     elif error == "gaussian":
         law = Gaussian(arrival, sigma)
     else:

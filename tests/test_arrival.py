@@ -14,7 +14,14 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from maloc._jax import jax, jnp
-from maloc.arrival import ArrivalError, DDetect, Gaussian, GeneralizedNormal, Student
+from maloc.arrival import (
+    ArrivalError,
+    DDetect,
+    Gaussian,
+    GaussianStudent,
+    GeneralizedNormal,
+    Student,
+)
 from tests import oracles
 
 PHI, SIGMA = 120.0, 2.0
@@ -25,6 +32,7 @@ STUDENT = Student(3.0, SIGMA, 3.0)
 LETTER = DDetect(3.0, SIGMA, PHI, 0.3)  # kaltoa's ddetect to the letter
 ROBUST = DDetect(3.0, SIGMA, PHI, 0.3, background=0.02)
 ODD = DDetect(3.0, SIGMA, PHI, 0.3, beta=7.0)
+MIXTURE = GaussianStudent(3.0, SIGMA, 25.0, 0.15)
 GENNORM = GeneralizedNormal(3.0, 5.0, 32.0)
 ERRORS = {
     "gaussian": GAUSSIAN,
@@ -32,6 +40,7 @@ ERRORS = {
     "ddetect": LETTER,
     "background": ROBUST,
     "odd": ODD,
+    "mixture": MIXTURE,
 }
 LAWS = {**ERRORS, "gennorm": GENNORM}
 SCIPY: dict[str, Any] = {
@@ -78,6 +87,9 @@ slope_of_log_prob = derivative(lambda law, value: law.log_prob(value))
 bend_of_log_prob = derivative(lambda law, value: jax.grad(law.log_prob)(value))
 
 
+VALUES = np.r_[np.linspace(-60, 60, 41), -1e5, 1e5]
+
+
 def awkward(law=LETTER):
     """Residuals where a mixture's formulas break first."""
     middle = [-30.0, -6.0, -1.0, -1e-9, 0.0, 1e-9, 1.0, 6.0, 11.0]
@@ -100,6 +112,15 @@ def test_density_cdf_and_quantiles_equal_scipys(name):
     np.testing.assert_allclose(at(law, "cdf", value), want.cdf(value), rtol=1e-11)
     np.testing.assert_allclose(at(law, "icdf", q), value, rtol=1e-8)
     assert moments(law) == pytest.approx((want.mean(), want.var()), rel=1e-12)
+
+
+def test_gaussian_student_is_the_sum_of_scipys():
+    """Density, shares of the parts, moments."""
+    parts = 0.85 * stats.norm.pdf(VALUES, 3.0, SIGMA), 0.15 * stats.t.pdf(VALUES, 3.0, 3.0, 25.0)
+    np.testing.assert_allclose(at(MIXTURE, "log_prob", VALUES), np.log(sum(parts)), rtol=1e-12)
+    np.testing.assert_allclose(at(MIXTURE, "p_direct", VALUES), parts[0] / sum(parts), rtol=1e-12)
+    assert moments(MIXTURE) == pytest.approx((3.0, 0.85 * SIGMA**2 + 0.15 * 3 * 25.0**2))
+    assert float(MIXTURE.widened(50.0).scale) == 50
 
 
 @pytest.mark.parametrize("beta", [0.7, 1.0, 2.0, 3.3, 8.0, 32.0, 200.0])
@@ -172,7 +193,7 @@ def test_cdf_is_the_integral_of_the_density(law):
     np.testing.assert_allclose(at(law, "cdf", [-1e9, 1e9]), [0, 1], atol=1e-9)
 
 
-@case(LAWS, long=["odd"])
+@case(LAWS, long=["odd", "mixture"])
 def test_icdf_inverts_the_cdf(law):
     q = jnp.asarray([1e-8, 1e-3, 0.1, 0.35, 0.5, 0.69, 0.71, 0.9, 0.999])
     value = at(law, "icdf", q)
@@ -280,7 +301,7 @@ def test_robust_curvature_is_never_below_the_true_one(law):
     assert np.all(robust >= -second * (1 - 1e-9) - 1e-12)
 
 
-@case({"gaussian": GAUSSIAN, "student": STUDENT})
+@case({"gaussian": GAUSSIAN, "student": STUDENT, "mixture": MIXTURE})
 def test_robust_curvature_majorises_globally(law):
     grid = np.linspace(-80, 80, 401)
     starts = np.array([-50.0, -4.0, 3.0, 9.0])
@@ -376,7 +397,7 @@ def test_draws_follow_the_distribution(law):
     n = 40_000
     drawn = np.asarray(jax.jit(lambda key: law.sample(key, (n,)))(jax.random.key(11)))
     assert stats.kstest(drawn, lambda v: at(law, "cdf", v)).pvalue > FALSE_ALARM
-    if law not in (STUDENT, ROBUST):  # no fourth moment there
+    if law not in (STUDENT, ROBUST, MIXTURE):  # no fourth moment there
         limit = stats.norm.isf(FALSE_ALARM / 2)
         mean, variance = map(float, moments(law))
         assert abs(drawn.mean() - mean) < limit * math.sqrt(variance / n)

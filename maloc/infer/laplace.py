@@ -21,7 +21,7 @@ from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import _factor, find_mode
 from maloc.infer.point_start import checked_positions
 from maloc.infer.result import LaplaceFit
-from maloc.infer.starts import joint_starts
+from maloc.infer.starts import beat_start, joint_starts
 
 __all__ = ["laplace"]
 
@@ -165,6 +165,8 @@ def _start(cm: ChainModel, args: tuple, path, positions) -> tuple[np.ndarray, np
     loose = (dataclasses.replace(data, schedule="unknown"), *args[1:])
     without = chain_model(cm.model, cm.options, loose, path)
     fit = maximise_marginal(without, loose, *initial_values(without, loose, positions))
+    if any(s.name == "interval" for s in cm.chain):
+        return beat_start(without, fit, cm, args)
     known = without.values(fit.x, fit.u)
     values = cm.prior_medians(args) | {k: np.asarray(v) for k, v in known.items()}
     return fit.x, cm.flat_globals(stable_interval(data, fit.x[:, -1], values))

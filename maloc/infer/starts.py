@@ -19,7 +19,7 @@ from maloc.infer.initial import initial_values, put_positions, repair
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import anneal, find_mode
 
-__all__ = ["joint_starts"]
+__all__ = ["beat_start", "joint_starts"]
 
 _STIFF = ("stable", "sequence")
 _SURE = (1, 4, 5)  # receivers that a ping needs to tell of the beat: few err together
@@ -60,6 +60,11 @@ def joint_starts(
         yield _tightened(cm, args, x, u)
         for sure in _SURE:
             yield from _on_grid(cm, args, x, u, _beat(quiet, fit, data, sure), 0, rng)
+
+
+def beat_start(alone: ChainModel, fit: MarginalFit, cm: ChainModel, args: tuple):
+    """Path and parameters (x, u) from a fit without the beat, which then closes in on it."""
+    return _tightened(cm, args, *_carry(alone, fit, cm, args))
 
 
 def _on_grid(cm: ChainModel, args: tuple, x, u, beat, draws: int, rng):

@@ -49,6 +49,10 @@ OPTIONS = {
         "error": ("ddetect", "gaussian", "student"),
         "sound_speed": ("auto", "given", "estimated"),
     },
+    "yaps": {
+        "error": ("mixture", "student", "gaussian"),
+        "sound_speed": ("auto", "given", "walk"),
+    },
 }
 SCHEDULES = {
     "unknown": Schedule(),
