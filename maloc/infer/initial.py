@@ -28,6 +28,7 @@ __all__ = ["initial_values", "put_positions", "repair", "stable_interval"]
 
 _FINE = (100.0, 60.0, 35.0, 20.0, 12.0, 8.0, 6.0, 5.0, 4.0, 3.0)
 _NEAR = _FINE[2:]  # from point positions, which err by less
+_T3_MIDDLE = 0.7649  # median size of Student's t with 3 df
 
 
 def initial_values(
@@ -156,6 +157,8 @@ def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.nd
         values["sigma"] = np.clip(spread, 0.02, 20.0)
         if "w" in values:
             values["w"] = np.clip(np.mean(1 - p), 0.003, 0.5)
+        if "t_scale" in values and (1 - p).sum() > 3:
+            values["t_scale"] = _middle_size(residual, 1 - p) / _T3_MIDDLE
     columns = _position_columns(cm)
     steps = np.diff(x[valid][:, columns], axis=0)
     if len(steps) > 2:
@@ -169,6 +172,13 @@ def _moments(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.nd
         if "home_sd" in values:
             values["home_sd"] = np.maximum(np.std(x[valid][:, columns]), 1.0)
     return cm.flat_globals(values)
+
+
+def _middle_size(residual: np.ndarray, weight: np.ndarray) -> float:
+    """Weighted median of the residuals' sizes."""
+    order = np.argsort(np.abs(residual))
+    part = np.cumsum(weight[order]) / weight.sum()
+    return float(np.abs(residual)[order][np.searchsorted(part, 0.5)])
 
 
 @jax.jit

@@ -15,6 +15,7 @@ from scipy.stats import lognorm, norm, t
 import maloc.infer
 from benchmarks import yaps as benchmark
 from maloc._jax import jax, jnp
+from maloc.infer.initial import _T3_MIDDLE, _middle_size
 from maloc.models import yaps
 from tests.infer import cases
 
@@ -125,6 +126,14 @@ def test_a_track_on_a_beat_is_found():
     steps = np.diff(found["emission_time"])[[0, 1, 2, -2]]
     want = 25.0 + 1e-3 * np.asarray(found["interval"])[[0, 1, 2, -3]]
     assert steps == pytest.approx(want, abs=5e-5)
+
+
+def test_start_of_the_t_part_is_a_weighted_median():
+    """As if every residual were there as often as its weight says."""
+    residual, weight = np.array([-9.0, 1.0, 4.0, -2.0, 30.0]), np.array([2, 4, 1, 3, 1])
+    want = np.median(np.repeat(np.abs(residual), weight))
+    assert _middle_size(residual, weight.astype(float)) == want
+    assert t(3).ppf(0.75) == pytest.approx(_T3_MIDDLE, abs=1e-4)
 
 
 def test_beside_yaps(tmp_path, monkeypatch, capsys):
