@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
-os.environ["XLA_FLAGS"] = (
-    os.environ.get("XLA_FLAGS", "")
-    + " --xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-)
+from maloc._threads import ONE_THREAD
+
+# tables are read by all threads, as users' are, and a graphics card serves where there is one
+_FREE = "POLARS_MAX_THREADS", "JAX_PLATFORMS"
+os.environ.update({k: v for k, v in ONE_THREAD.items() if k not in _FREE})

@@ -7,26 +7,17 @@ compared.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maloc._threads import one_thread
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
     import polars as pl
 
 __all__ = ["claim", "put", "run_jobs"]
-
-_ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "POLARS_MAX_THREADS": "1",
-    "JAX_PLATFORMS": "cpu",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
 
 
 def claim(out: Path, settings: str) -> None:
@@ -51,21 +42,6 @@ def put(found: pl.DataFrame, path: Path) -> None:
     beside = path.with_suffix(f".{os.getpid()}.part")
     found.write_parquet(beside)
     beside.replace(path)
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Environment of the worker processes, who read it when they import JAX."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def run_jobs(
@@ -103,7 +79,7 @@ def run_jobs(
     todo = [job for job, file in zip(jobs, files, strict=True) if not file.exists()]
     spawn = multiprocessing.get_context("spawn")
     with (
-        _single_threaded(),
+        one_thread(),
         ProcessPoolExecutor(min(workers, max(len(todo), 1)), mp_context=spawn) as pool,
         tqdm(total=len(jobs), initial=len(jobs) - len(todo), disable=quiet, unit="fit") as bar,
     ):

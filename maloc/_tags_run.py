@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from maloc._study_jobs import _single_threaded
+from maloc._threads import one_thread
 from maloc.errors import FitError, InputError
 
 __all__ = ["Done", "Job", "key_of", "run_each"]
@@ -203,7 +203,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         "dashboard_address": None,
     }
     with (
-        _single_threaded(),
+        one_thread(),
         LocalCluster(**how) as cluster,
         Client(cluster) as client,
     ):

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 import warnings
@@ -24,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from maloc._threads import one_thread
 from maloc.data import ArrivalTimes, Receivers, Schedule
 from maloc.simulate.animals import correlated_walk
 from maloc.simulate.arrays import canal
@@ -34,7 +34,6 @@ SPEED, MARGIN, P_NEAR = 1480.0, 20.0, 0.9
 RANDOM, STABLE = Schedule("random", 20.6, 36.6), Schedule("stable", 28.6, 0.005)
 NARROW = Schedule("random", 21.4, 35.8)  # 10 % of the width is missing
 SHIFT, SPEED_OFF = 15.0, 0.02
-ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
 
 class Case(NamedTuple):
@@ -203,8 +202,8 @@ def _done(jobs: list[tuple[str, int]], asked: argparse.Namespace) -> Iterable[di
     if asked.workers == 1:
         yield from (run(name, i, asked.seed, asked.pings) for name, i in jobs)
         return
-    os.environ.setdefault("XLA_FLAGS", ONE_THREAD)
-    with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
+    spawn = get_context("spawn")
+    with one_thread(), ProcessPoolExecutor(asked.workers, mp_context=spawn) as pool:
         waiting = [pool.submit(run, name, i, asked.seed, asked.pings) for name, i in jobs]
         for one in waiting:
             yield one.result()

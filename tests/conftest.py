@@ -10,12 +10,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 # One thread a worker: the workers share the cores, and sums come out the same everywhere.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS"):
-    os.environ.setdefault(_name, "1")
-os.environ.setdefault(
-    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-)
-os.environ.setdefault("JAX_PLATFORMS", "cpu")
+sys.path.insert(0, str(ROOT))
+from maloc._threads import ONE_THREAD  # noqa: E402
+
+for _name, _value in ONE_THREAD.items():
+    os.environ.setdefault(_name, _value)
 # A shape that is broadcast by accident is an error in the whole suite.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 # The workers share what they compile, with one another and with the next run.

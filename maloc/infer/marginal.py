@@ -105,14 +105,15 @@ class _Marginal:
 def _covariance(marginal: _Marginal, point: _Point, u: np.ndarray, scale: np.ndarray):
     """Covariance of the parameters from second differences of the profile, (k, k)."""
     k = len(u)
-    pairs = [(i, j) for i in range(k) for j in range(i + 1)]
-    signs = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+    pairs = [(i, j) for i in range(k) for j in range(i)]
     eye = np.diag(0.5 * scale)
-    offsets = np.array([a * eye[i] + b * eye[j] for i, j in pairs for a, b in signs])
-    values = marginal.profile(point.mode.x, u, point.slope, offsets).reshape(-1, 4)
-    hessian = np.zeros((k, k))
-    for (i, j), v in zip(pairs, values, strict=True):
-        hessian[i, j] = hessian[j, i] = (v[0] - v[1] - v[2] + v[3]) / (4 * eye[i, i] * eye[j, j])
+    ahead = np.array([*eye, *(eye[i] + eye[j] for i, j in pairs)])
+    values = marginal.profile(point.mode.x, u, point.slope, np.concatenate([ahead, -ahead]))
+    second = values[: len(ahead)] + values[len(ahead) :] - 2 * point.value
+    hessian = np.diag(second[:k] / (0.5 * scale) ** 2)
+    for (i, j), both in zip(pairs, second[k:], strict=True):
+        mixed = (both - second[i] - second[j]) / (0.5 * scale[i] * scale[j])
+        hessian[i, j] = hessian[j, i] = mixed
     scaled = hessian * np.outer(scale, scale)
     eigen, vectors = np.linalg.eigh(scaled)
     eigen = np.maximum(eigen, 1e-2)
