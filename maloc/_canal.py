@@ -69,6 +69,18 @@ def case_of(settings: Settings, address: Address) -> Case:
     return simulate_case(address, settings.seed, settings.design, receivers)
 
 
+_LAST: dict[tuple[str, Address], Case] = {}
+
+
+def _case(settings: Settings, address: Address) -> Case:
+    """The same object for every method of a case, so that they share what they have in common."""
+    key = settings.as_text(), address  # settings hold NaN, which is not even equal to itself
+    if key not in _LAST:
+        _LAST.clear()
+        _LAST[key] = case_of(settings, address)
+    return _LAST[key]
+
+
 def fit_job(settings: Settings, address: Address, method: str) -> pl.DataFrame:
     """Fit one case by one method and score it.
 
@@ -81,7 +93,7 @@ def fit_job(settings: Settings, address: Address, method: str) -> pl.DataFrame:
     """
     import polars as pl
 
-    case = case_of(settings, address)
+    case = _case(settings, address)
     found = timed(method, case, settings)
     n_heard = case.toa.n_heard
     parts = found.position, found.sd, found.low, found.high

@@ -1,17 +1,19 @@
 """The methods of the canal study, side by side: each turns a case into positions and widths.
 
-A new method is a function of (case, settings) and one line in `METHODS`.
+A new method is a function of (case, settings) and one line in `METHODS`; those of the classical
+chain are in `maloc._canal_chain`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc._limits import Z95
+from maloc._canal_chain import CHAIN
+from maloc._canal_located import Located, of_points
 from maloc.errors import FitError, InputError
 
 if TYPE_CHECKING:
@@ -19,24 +21,8 @@ if TYPE_CHECKING:
     from maloc._canal_cases import Case
     from maloc.data.arrivals import ArrivalTimes, Schedule
     from maloc.infer.result import Fit
-    from maloc.points.result import Points
 
 __all__ = ["METHODS", "Located", "check_methods", "timed"]
-
-
-class Located(NamedTuple):
-    """What a method says of P pings; NaN where it says nothing.
-
-    ``position``, ``sd``, ``low`` and ``high`` (P, 2) m: estimate, standard deviation and central
-    95 %; ``warnings``; ``cpu``: seconds of the fit, NaN where its own clock is not the job's.
-    """
-
-    position: np.ndarray
-    sd: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    warnings: tuple[str, ...] = ()
-    cpu: float = float("nan")
 
 
 def _toa(case: Case, settings: Settings) -> Located:
@@ -44,6 +30,13 @@ def _toa(case: Case, settings: Settings) -> Located:
     import maloc
 
     return _of_fit(maloc.infer.laplace(maloc.models.toa_track, case.toa), case, settings)
+
+
+def _yaps(case: Case, settings: Settings) -> Located:
+    """`maloc.models.yaps`, the peer on the same engine, by Laplace."""
+    import maloc
+
+    return _of_fit(maloc.infer.laplace(maloc.models.yaps, case.toa), case, settings, between=False)
 
 
 def _nuts(case: Case, settings: Settings) -> Located:
@@ -144,40 +137,26 @@ def _pmc(case: Case, settings: Settings) -> Located:
     """Every ping by itself: population Monte Carlo."""
     from maloc.points import locate
 
-    return _of_points(locate(case.toa, "pmc", seed=settings.seed))
+    return of_points(locate(case.toa, "pmc", seed=settings.seed))
 
 
 def _consensus(case: Case, settings: Settings) -> Located:
     """Every ping by itself: the arrivals that agree."""
     from maloc.points import locate
 
-    return _of_points(locate(case.toa, "consensus"))
-
-
-def _de(case: Case, settings: Settings) -> Located:
-    """Every ping by itself: LS-TDOA by differential evolution, the thesis's positioning."""
-    from maloc.points import locate
-
-    return _of_points(locate(case.toa, "differential-evolution", seed=settings.seed))
-
-
-def _of_points(points: Points) -> Located:
-    """Positions and widths of located pings; limits are the method's own where it has them."""
-    sd = np.where(points.located[:, None], points.sd, np.nan)
-    low = points.extra.get("lo", points.position - Z95 * sd)
-    high = points.extra.get("hi", points.position + Z95 * sd)
-    return Located(points.position, sd, low, high)
+    return of_points(locate(case.toa, "consensus"))
 
 
 METHODS: dict[str, Callable[[Case, Settings], Located]] = {
     "toa": _toa,
+    "yaps": _yaps,
     "nuts": _nuts,
     "hmc": _hmc,
     "joint": _joint,
     "toa-known": _known,
     "pmc": _pmc,
     "consensus": _consensus,
-    "de": _de,
+    **CHAIN,
 }
 
 

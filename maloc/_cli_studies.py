@@ -65,7 +65,9 @@ def canal(
     methods: Annotated[
         str,
         typer.Option(
-            metavar="A,B", help="Of toa, nuts, hmc, joint, toa-known, pmc, consensus, de."
+            metavar="A,B",
+            help="Of toa, yaps, nuts, hmc, joint, toa-known, pmc, consensus, ls, de, ek-toa, and "
+            "the classical chain after ls or de: ls-three, ls-rts, ...",
         ),
     ] = "toa",
     pings: Annotated[int, typer.Option(min=2, help="Pings of a track.")] = 250,

@@ -43,6 +43,8 @@ class CanalDesign:
         and the time (s) after which its correlation is 1 / e.
     margin : float
         Fish roam the array's bounding box widened by this, m.
+    in_water : bool
+        Fish keep to the water of `maloc.simulate.arrays.canal` instead, between its receivers.
     speed, turn : float
         Of the correlated random walk: mean speed, m/s, and the standard deviation of its change of
         heading in a second, radians.
@@ -67,6 +69,7 @@ class CanalDesign:
     drift_sd: float = 0.0
     drift_time: float = 3600.0
     margin: float = 60.0
+    in_water: bool = False
     speed: float = 0.15
     turn: float = 0.135
     sound_speed: float = 1450.0
@@ -145,11 +148,14 @@ def simulate_canal(
     design = CanalDesign() if design is None else design
     receivers = canal_receivers() if receivers is None else receivers
     emission = burst_times(rng, design.n_pings, design.schedule)
-    low, high = receivers.xy.min(0) - design.margin, receivers.xy.max(0) + design.margin
-    box = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+    if design.in_water:
+        room = np.asarray(arrays.canal().water)
+    else:
+        low, high = receivers.xy.min(0) - design.margin, receivers.xy.max(0) + design.margin
+        room = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     start = receivers.xy[rng.integers(len(receivers))]
     at = (float(start[0]), float(start[1]))
-    xy = correlated_walk(rng, emission, box, design.speed, design.turn, at)
+    xy = correlated_walk(rng, emission, room, design.speed, design.turn, at)
     speed = sound_speed_walk(rng, emission, design.sound_speed, design.sound_speed_rate)
     arrivals = hear(rng, emission, xy, receivers.xy, speed, design.hearing(p_mp))
     distance = np.linalg.norm(xy[:, None] - receivers.xy, axis=2)
