@@ -58,7 +58,8 @@ def laplace(
     Returns
     -------
     LaplaceFit
-        Of more than 2048 heard pings a `LongFit`: the same, found by windows.
+        Of more than 2048 heard pings a `LongFit`: the same, found by windows; not where a model
+        has a path of the burst interval.
 
     Raises
     ------
@@ -78,7 +79,7 @@ def laplace(
         flat = flat_warning(args[0]) if args else None
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
-    whole = long_arguments(args, cm)
+    whole = None if _walks(cm) else long_arguments(args, cm)
     try:
         if whole is None:
             fit = _fit(cm, args, path, positions, stages)
@@ -100,6 +101,11 @@ def laplace(
 
 def _same(x):
     return x
+
+
+def _walks(cm: ChainModel) -> bool:
+    """Whether the burst interval has a path of its own: no window can find its beat alone."""
+    return any(site.name == "interval" for site in cm.chain)
 
 
 def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> MarginalFit:
@@ -165,7 +171,7 @@ def _start(cm: ChainModel, args: tuple, path, positions) -> tuple[np.ndarray, np
     loose = (dataclasses.replace(data, schedule="unknown"), *args[1:])
     without = chain_model(cm.model, cm.options, loose, path)
     fit = maximise_marginal(without, loose, *initial_values(without, loose, positions))
-    if any(s.name == "interval" for s in cm.chain):
+    if _walks(cm):
         return beat_start(without, fit, cm, args)
     known = without.values(fit.x, fit.u)
     values = cm.prior_medians(args) | {k: np.asarray(v) for k, v in known.items()}

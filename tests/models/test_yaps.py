@@ -16,6 +16,7 @@ import maloc.infer
 from benchmarks import yaps as benchmark
 from maloc._jax import jax, jnp
 from maloc.infer.initial import _T3_MIDDLE, _middle_size
+from maloc.infer.long import LongFit
 from maloc.models import yaps
 from tests.infer import cases
 
@@ -126,6 +127,15 @@ def test_a_track_on_a_beat_is_found():
     steps = np.diff(found["emission_time"])[[0, 1, 2, -2]]
     want = 25.0 + 1e-3 * np.asarray(found["interval"])[[0, 1, 2, -3]]
     assert steps == pytest.approx(want, abs=5e-5)
+
+
+def test_a_long_track_on_a_beat_is_fitted_in_one_piece(monkeypatch):
+    toa = on_a_beat()[0]
+    short = maloc.infer.laplace(yaps, toa, draws=10)
+    monkeypatch.setattr("maloc.infer.long.LONG", 0)
+    fit = maloc.infer.laplace(yaps, toa, draws=10)
+    assert not isinstance(fit, LongFit)
+    assert fit.moments()[0] == pytest.approx(short.moments()[0])
 
 
 def test_start_of_the_t_part_is_a_weighted_median():
