@@ -281,3 +281,73 @@ def missed_by_simulation(rng, draw_interval, q, duration, end, draws, first=None
         by_count.append(weight * close(duration - s))
     total = np.sum(by_count, axis=0)
     return total.mean(), total.std() / np.sqrt(draws), np.array([v.mean() for v in by_count])
+
+
+# -- emitters without identity ------------------------------------------------------------------
+
+
+def best_packing(sets, worth):
+    """Rows of the disjoint sets of greatest total worth, and the total, by trying all."""
+    best, total = [], 0.0
+
+    def grow(chosen, taken, value, first):
+        nonlocal best, total
+        if value > total:
+            best, total = chosen, value
+        for i in range(first, len(sets)):
+            if not sets[i] & taken and worth[i] > 0:
+                grow([*chosen, i], taken | sets[i], value + worth[i], i + 1)
+
+    grow([], frozenset(), 0.0, 0)
+    return best, total
+
+
+def emission_log_ratio(member, position, emission, value, sensing):
+    """Log ratio of an emission's likelihood to that of false measurements, by Laplace's formula.
+
+    The information is that of derivatives by differences, a measurement at a time in loops.
+    """
+    s, c = sensing.sigma * sensing.speed, sensing.speed
+    ref = sensing.reference
+
+    def predicted(x, j):
+        away = np.linalg.norm(x[:2] - sensing.receivers[j])
+        return away + x[2] if ref is None else away - np.linalg.norm(x[:2] - sensing.receivers[ref])
+
+    at = np.array([*position, emission * c] if ref is None else position, float)
+    d, h, log_likelihood = len(at), 1e-4, 0.0
+    information = np.zeros((d, d))
+    for j, row in enumerate(member):
+        if row < 0:
+            continue
+        log_likelihood -= 0.5 * ((value[row] * c - predicted(at, j)) / s) ** 2
+        log_likelihood -= np.log(s * np.sqrt(2 * np.pi))
+        slope = [(predicted(at + e, j) - predicted(at - e, j)) / (2 * h) for e in h * np.eye(d)]
+        information += np.outer(slope, slope) / s**2
+    low, high = np.array(sensing.low), np.array(sensing.high)
+    space = np.prod(high - low) * (1.0 if ref is not None else max(sensing.window[1]) * c)
+    volume = (2 * np.pi) ** (d / 2) / np.sqrt(max(np.linalg.det(information), 1e-300))
+    out = log_likelihood + np.log(min(volume, space) * sensing.expected / space)
+    for j, row in enumerate(member):
+        if j == ref:
+            continue
+        if row < 0:
+            out += np.log(1 - sensing.p_detect)
+        else:
+            width = (sensing.window[1][j] - sensing.window[0][j]) * c
+            out += np.log(sensing.p_detect) - np.log(sensing.n_false / width)
+    return out
+
+
+def gospa_by_permutations(truth, estimate, c, p):
+    """GOSPA (alpha = 2) from its definition: the least over all partial assignments."""
+    from itertools import combinations, permutations
+
+    t, e = len(truth), len(estimate)
+    best = np.inf
+    for k in range(min(t, e) + 1):
+        for some in combinations(range(t), k):
+            for to in permutations(range(e), k):
+                away = [np.linalg.norm(truth[i] - estimate[j]) for i, j in zip(some, to)]  # noqa: B905
+                best = min(best, sum(a**p for a in away) + c**p / 2 * (t + e - 2 * k))
+    return best ** (1 / p)

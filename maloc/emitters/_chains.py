@@ -1,0 +1,277 @@
+"""Chains of pings that one transmitter can have sent, by least-cost flow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from maloc.data.arrivals import Schedule
+
+__all__ = ["Chains", "Pings", "Settings", "best_chains"]
+
+_ENTER = 20.0  # nats that a transmitter more costs
+_AWAY = 12.0  # nats that an absence costs, however long; less than another transmitter
+_LONGEST = 20  # mean intervals without a located ping that are still a gap, not an absence
+_SURE = 20.0  # nats that leaving a ping out costs at most
+_WILD = 0.02  # share of wrong positions
+_SLACK = 0.05  # s, of an emission time
+
+
+class Pings(NamedTuple):
+    """Located pings in the order of their emission: s (N,), m (N, 2), m^2 (N, 2, 2), heard (N,)."""
+
+    time: np.ndarray
+    xy: np.ndarray
+    covariance: np.ndarray
+    n_heard: np.ndarray
+
+
+class Chains(NamedTuple):
+    """The best chains.
+
+    Attributes
+    ----------
+    chains : list of array of int
+        Pings of each transmitter, in order of time.
+    gain : float
+        Nats that the second chain is worth.
+    apart : float
+        Nats by which the chains' own paths explain the places better than one path through all.
+    settings : Settings
+        As learnt.
+    """
+
+    chains: list[np.ndarray]
+    gain: float
+    apart: float
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Laws of bursts and of movement.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        Burst interval, random or stable.
+    n_receivers : int
+    false_rate : float
+        False detections at a receiver, 1/s.
+    travel : float
+        Sound time across the array, s.
+    missed : float
+        Share of pings that are not located.
+    diffusion : float
+        Variance of a step a second and axis, m^2/s.
+    """
+
+    schedule: Schedule
+    n_receivers: int
+    false_rate: float
+    travel: float
+    missed: float = 0.3
+    diffusion: float = 10.0
+
+    @property
+    def shortest(self) -> float:
+        """Shortest burst interval, s, less what an emission may be off."""
+        return self.schedule.shortest - _SLACK
+
+    @property
+    def longest(self) -> float:
+        """The longest gap that is no absence, s."""
+        return _LONGEST * self.schedule.mean
+
+    def log_gap(self, gap: np.ndarray) -> np.ndarray:
+        """Log density of gaps (G,) s a mean interval, pings between missed; -inf: impossible."""
+        if self.schedule.kind == "stable":
+            n = np.maximum(np.rint(gap / self.schedule.mean) - 1, 0).astype(int)
+            density = _density(n, np.maximum(gap, 0.0), self.schedule) * self.missed**n
+        else:
+            grid, each = _density_table(self.schedule, self.longest)
+            weight = self.missed ** np.arange(len(each))
+            density = np.interp(gap, grid, weight @ each)
+        with np.errstate(divide="ignore"):
+            inside = np.log(density * self.schedule.mean)
+        least = np.where(np.isfinite(inside), np.maximum(inside, -_AWAY), -np.inf)
+        return np.where(gap > self.longest, -_AWAY, least)
+
+    def log_move(self, pings: Pings, a: np.ndarray, b: np.ndarray, area: float) -> np.ndarray:
+        """Log density of the way from pings a to pings b, against anywhere in the area (m^2)."""
+        step = pings.xy[b] - pings.xy[a]
+        dt = pings.time[b] - pings.time[a]
+        s = pings.covariance[a] + pings.covariance[b]
+        s = s + (self.diffusion * dt)[:, None, None] * np.eye(2)
+        det = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] ** 2
+        square = (
+            s[:, 1, 1] * step[:, 0] ** 2
+            - 2 * s[:, 0, 1] * step[:, 0] * step[:, 1]
+            + s[:, 0, 0] * step[:, 1] ** 2
+        ) / det
+        normal = np.exp(-0.5 * square) / (2 * np.pi * np.sqrt(det)) * area
+        return np.log((1 - _WILD) * normal + _WILD)
+
+    def worth(self, n_heard: np.ndarray) -> np.ndarray:
+        """Nats (N,) that a ping of n receivers is worth, against as many false detections."""
+        rate = self.n_receivers * self.false_rate
+        together = np.log(self.schedule.mean * rate) + (n_heard - 1) * np.log(rate * self.travel)
+        return np.clip(-together, 0.0, _SURE)
+
+
+def _density(n: np.ndarray, gap: np.ndarray, schedule: Schedule) -> np.ndarray:
+    from maloc.signal import interval_sum_density
+
+    return interval_sum_density(n, gap, schedule, slack=_SLACK)
+
+
+@lru_cache(maxsize=8)
+def _density_table(schedule: Schedule, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps (G,) s, and the density (n, G), 1/s, of a gap that holds n = 0, 1, ... missed pings."""
+    gap = np.linspace(0.0, longest, 200 * _LONGEST + 1)
+    n = np.arange(int(longest / schedule.shortest) + 2)
+    return gap, _density(n[:, None], gap[None], schedule)
+
+
+def best_chains(pings: Pings, settings: Settings, most: int) -> Chains:
+    """Find the number of transmitters and their pings; movement and misses are learnt on the way.
+
+    Parameters
+    ----------
+    pings : Pings
+        N located pings.
+    settings : Settings
+        Laws to start from.
+    most : int
+        Chains at most.
+
+    Returns
+    -------
+    Chains
+        As many as are each worth something.
+    """
+    if not len(pings.time):
+        return Chains([], 0.0, 0.0, settings)
+    extent = np.ptp(pings.xy, axis=0) + 100.0
+    area = float(np.prod(extent))
+    for _ in range(3):
+        chains, _ = _flow(pings, settings, area, min(most, 2))
+        settings = _learnt(pings, settings, chains)
+    values = [0.0]
+    best: list[np.ndarray] = []
+    for k in range(1, most + 1):
+        chains, value = _flow(pings, settings, area, k)
+        if len(chains) < k or value <= values[-1]:
+            break
+        values.append(value)
+        best = chains
+    gain = values[2] - values[1] if len(values) > 2 else 0.0
+    return Chains(best, gain, _apart(pings, settings, area, best), settings)
+
+
+def _learnt(pings: Pings, settings: Settings, chains: list[np.ndarray]) -> Settings:
+    """Diffusion and share of missed pings, from the chains' steps."""
+    a = np.concatenate([c[:-1] for c in chains] or [np.empty(0, int)])
+    b = np.concatenate([c[1:] for c in chains] or [np.empty(0, int)])
+    dt = pings.time[b] - pings.time[a]
+    here = dt < settings.longest
+    if here.sum() < 5:
+        return settings
+    a, b, dt = a[here], b[here], dt[here]
+    square = ((pings.xy[b] - pings.xy[a]) ** 2).sum(axis=1)
+    error = np.trace(pings.covariance[a] + pings.covariance[b], axis1=1, axis2=2)
+    # the median of a chi square of two degrees is 2 log 2
+    diffusion = max(float(np.median((square - error) / dt)) / (2 * np.log(2)), 1e-2)
+    missed = 1 - len(dt) * settings.schedule.mean / dt.sum()
+    return replace(settings, diffusion=diffusion, missed=float(np.clip(missed, 0.02, 0.95)))
+
+
+def _apart(pings: Pings, settings: Settings, area: float, chains: list[np.ndarray]) -> float:
+    """Nats that two paths explain places better than one, over the time that both were there."""
+    if len(chains) < 2:
+        return 0.0
+
+    def move(rows: np.ndarray) -> float:
+        return float(settings.log_move(pings, rows[:-1], rows[1:], area).sum())
+
+    two = sorted(chains, key=len)[-2:]
+    first = max(c[0] for c in two)
+    last = min(c[-1] for c in two)
+    two = [c[(c >= first) & (c <= last)] for c in two]
+    # joining two paths into one adds a step: against "anywhere" that is worth nothing
+    return sum(move(c) for c in two) - move(np.sort(np.concatenate(two)))
+
+
+def _flow(pings: Pings, settings: Settings, area: float, k: int) -> tuple[list[np.ndarray], float]:
+    """The best k chains, fewer where fewer are better, and what they are worth (nats)."""
+    from scipy.optimize import linprog
+    from scipy.sparse import coo_array
+
+    n = len(pings.time)
+    i = np.arange(n)
+    a, b = _steps(pings.time, settings)
+    cost = -settings.log_gap(pings.time[b] - pings.time[a])
+    cost -= settings.log_move(pings, a, b, area)
+    fine = np.isfinite(cost)
+    a, b, cost = a[fine], b[fine], cost[fine]
+    later = np.searchsorted(pings.time, pings.time + settings.longest)
+    gone = np.flatnonzero(later < n)
+    enter, leave, hall, source, sink = i, n + i, 2 * n + i, 3 * n, 3 * n + 1
+    edges = [
+        (np.full(n, source), enter, np.full(n, _ENTER)),
+        (enter, leave, -settings.worth(pings.n_heard)),
+        (leave, np.full(n, sink), np.zeros(n)),
+        (leave[a], enter[b], cost),
+        (leave[gone], hall[later[gone]], np.full(len(gone), _AWAY)),
+        (hall[:-1], hall[1:], np.zeros(n - 1)),
+        (hall, enter, np.zeros(n)),
+        (np.array([sink]), np.array([source]), np.zeros(1)),
+    ]
+    tail, head, cost = (np.concatenate(part) for part in zip(*edges, strict=True))
+    m = len(cost)
+    upper = np.ones(m)
+    upper[m - 1] = k
+    upper[m - 2 * n : m - n - 1] = k  # any number may wait in the hall
+    which = np.arange(m)
+    balance = coo_array(
+        (np.repeat([1.0, -1.0], m), (np.concatenate([head, tail]), np.tile(which, 2))),
+        shape=(3 * n + 2, m),
+    ).tocsr()
+    solved = linprog(
+        cost, A_eq=balance, b_eq=np.zeros(3 * n + 2), bounds=np.stack([np.zeros(m), upper], 1),
+        method="highs",
+    )  # fmt: skip
+    return _read(solved.x > 0.5, tail, head, n), float(-solved.fun)
+
+
+def _steps(time: np.ndarray, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of pings a shortest interval apart or more, and no absence."""
+    first = np.searchsorted(time, time + settings.shortest)
+    last = np.searchsorted(time, time + settings.longest)
+    size = last - first
+    a = np.repeat(np.arange(len(time)), size)
+    b = np.arange(len(a)) - np.repeat(np.cumsum(size) - size, size) + first[a]
+    return a, b
+
+
+def _read(used: np.ndarray, tail: np.ndarray, head: np.ndarray, n: int) -> list[np.ndarray]:
+    """Chains from the edges used: each ping's next one, through the hall in order of time."""
+    after = {int(t): int(h) for t, h in zip(tail[used], head[used], strict=True) if t < 2 * n}
+    starts = head[used & (tail == 3 * n)]
+    # who waits in the hall leaves it in the order in which they came, as good as any
+    exits = sorted(int(h) for t, h in zip(tail[used], head[used], strict=True)
+                   if 2 * n <= t < 3 * n and h < n)  # fmt: skip
+    came = sorted((h, t) for t, h in after.items() if 2 * n <= h < 3 * n)
+    for (_, t), exit_ in zip(came, exits, strict=True):
+        after[t] = exit_
+    chains = []
+    for start in starts:
+        chain, node = [], int(start)
+        while node < n:
+            chain.append(node)
+            node = after[n + node]
+        chains.append(np.array(chain))
+    return sorted(chains, key=len, reverse=True)
