@@ -2,15 +2,25 @@
 
 What most studies do after positioning, on the same data types as everything else in maloc, so that
 it can be compared honestly with the posterior of arrival times. `kalman` takes the positions of
-`maloc.points.locate`; `speed_filter` and its kin say which of them cannot be.
+`maloc.points.locate`; `speed_filter` and its kin say which of them cannot be, `geometric_error` and
+its kin how far each is to be trusted.
 """
 
 from __future__ import annotations
 
 from maloc.classical.ektoa import ek_toa
+from maloc.classical.fixed import (
+    FixedTags,
+    cluster_error,
+    cluster_filter,
+    clusters,
+    timing_error,
+)
 from maloc.classical.kalman import MOVEMENTS, KalmanTrack, kalman
+from maloc.classical.measures import Regression, ehrenberg_error, geometric_error, regress
 from maloc.classical.outliers import (
     Screened,
+    interval_filter,
     land_filter,
     speed_filter,
     three_stage_filter,
@@ -20,13 +30,23 @@ from maloc.classical.outliers import (
 
 __all__ = [
     "MOVEMENTS",
+    "FixedTags",
     "KalmanTrack",
+    "Regression",
     "Screened",
+    "cluster_error",
+    "cluster_filter",
+    "clusters",
+    "ehrenberg_error",
     "ek_toa",
+    "geometric_error",
+    "interval_filter",
     "kalman",
     "land_filter",
+    "regress",
     "speed_filter",
     "three_stage_filter",
     "threshold_filter",
+    "timing_error",
     "two_stage_filter",
 ]

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maloc.movement import CTCRW, Brownian
-
 __all__ = ["LAWS", "Law", "steps"]
 
 
@@ -42,11 +40,23 @@ def _constant_velocity(dt: np.ndarray, sigma: float) -> tuple[np.ndarray, np.nda
     return a, sigma**2 * q
 
 
+def _brownian(dt: np.ndarray, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
+    from maloc.movement import Brownian  # brings JAX
+
+    return Brownian.step(dt, *parameters)  # pyright: ignore[reportReturnType]
+
+
+def _ctcrw(dt: np.ndarray, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
+    from maloc.movement import CTCRW
+
+    return CTCRW.step(dt, *parameters)  # pyright: ignore[reportReturnType]
+
+
 LAWS = {
-    "rw": Law(("sigma_step",), (0.5,), ((1e-4, 1e3),), Brownian.step, lambda sigma: None),
+    "rw": Law(("sigma_step",), (0.5,), ((1e-4, 1e3),), _brownian, lambda sigma: None),
     "crw": Law(("sigma_acc",), (0.05,), ((1e-6, 1e2),), _constant_velocity, lambda sigma: 1.0),
     "ctcrw": Law(
-        ("sigma_vel", "t05"), (0.3, 260.0), ((1e-4, 50.0), (0.1, 1e7)), CTCRW.step,
+        ("sigma_vel", "t05"), (0.3, 260.0), ((1e-4, 50.0), (0.1, 1e7)), _ctcrw,
         lambda sigma, t05: sigma**2,
     ),
 }  # fmt: skip

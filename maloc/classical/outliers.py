@@ -1,4 +1,4 @@
-"""Positions that cannot be: filters by speed, by turning angle, by an error measure and by land.
+"""What cannot be: filters by speed, turning angle, an error measure, land and burst interval.
 
 References
 ----------
@@ -9,14 +9,18 @@ Freitas, Lydersen, Fedak & Kovacs (2008) Marine Mammal Science 24: 315-325 (thre
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from maloc.errors import InputError
 
+if TYPE_CHECKING:
+    from maloc.data.arrivals import ArrivalTimes
+
 __all__ = [
     "Screened",
+    "interval_filter",
     "land_filter",
     "speed_filter",
     "three_stage_filter",
@@ -163,6 +167,52 @@ def land_filter(xy: Any, water: Any) -> Screened:
     rows = np.flatnonzero(why == "")
     why = why.astype(object)
     why[rows[~inside(xy[rows], water)]] = "on land"
+    return _screened(why)
+
+
+def interval_filter(toa: ArrivalTimes, shortest: float | None = None) -> Screened:
+    """Take out pings that follow another sooner than the tag can have sent them.
+
+    Of pings too near each other those stay that most receivers heard, of equals the earlier: a
+    reflection that arrives late enough to look like a ping is heard by fewer.
+
+    Parameters
+    ----------
+    toa : ArrivalTimes
+        P pings of one tag.
+    shortest : float, optional
+        Shortest interval between emissions, s; that of the schedule when not given.
+
+    Returns
+    -------
+    Screened
+        Pings that nobody heard are kept out with the reason "not heard".
+
+    Raises
+    ------
+    InputError
+        If the shortest interval is not known, or not positive.
+
+    Notes
+    -----
+    First arrivals may be nearer than emissions by what sound takes across the array. What a
+    receiver hears too soon after itself, and detections of a single receiver, are set aside before,
+    by `maloc.data.prepare` and `maloc.toa_matrix`.
+    """
+    from maloc.data._screen import TOO_SOON, _heaviest
+
+    shortest = toa.schedule.shortest if shortest is None else shortest
+    if not shortest > 0:
+        raise InputError("the shortest burst interval is not known", mend="give it, in s")
+    count = toa.n_heard
+    why = np.where(count > 0, "", "not heard").astype(object)
+    rows = np.flatnonzero(count > 0)
+    if len(rows):
+        first = np.nanmin(toa.toa[rows], axis=1)
+        rows, first = rows[np.argsort(first, kind="stable")], np.sort(first)
+        across = np.linalg.norm(np.ptp(toa.receivers.xy, axis=0)) / np.min(toa.sound_speed)
+        keep = _heaviest(first, count[rows].astype(float), shortest - across)
+        why[np.delete(rows, keep)] = TOO_SOON
     return _screened(why)
 
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from maloc.classical import (
+    interval_filter,
     land_filter,
     speed_filter,
     three_stage_filter,
     threshold_filter,
     two_stage_filter,
 )
+from maloc.data import ArrivalTimes, Receivers, Schedule
 from maloc.errors import InputError
+from maloc.simulate import canal_toa
 
+SOUND = 1450.0
 TIME = 30.0 * np.arange(9)
 STRAIGHT = np.column_stack([15.0 * np.arange(9), np.zeros(9)])
 
@@ -102,3 +108,46 @@ def test_refusals():
         speed_filter(TIME, STRAIGHT, 1.0, neighbours=0)
     with pytest.raises(InputError, match="0 to 180"):
         three_stage_filter(TIME, STRAIGHT, 1.0, angle=200)
+
+
+def test_pings_sooner_than_possible_by_trying_every_set():
+    """Twelve pings, the set of most detections among those far enough apart."""
+    rng = np.random.default_rng(4)
+    xy = np.array([[0.0, 0.0], [150.0, 0.0], [0.0, 150.0], [150.0, 150.0], [75.0, 75.0]])
+    receivers = Receivers(np.array(list("ABCDE")), xy[:, 0], xy[:, 1])
+    first = np.sort(rng.uniform(0, 120, 12))
+    toa = first[:, None] + rng.uniform(0, 0.1, (12, 5))
+    toa[rng.random(toa.shape) < 0.5] = np.nan
+    toa[5] = np.nan
+    order = np.argsort(np.where(np.isnan(toa), np.inf, toa).min(axis=1), kind="stable")
+    data = ArrivalTimes(
+        toa[order], receivers, np.full(12, SOUND), schedule=Schedule("random", 20.0, 40.0)
+    )
+    heard = np.flatnonzero(data.n_heard > 0)
+    when = np.nanmin(data.toa[heard], axis=1)
+    apart = 20.0 - np.hypot(150, 150) / SOUND
+    best = max(
+        sum(data.n_heard[heard[list(some)]])
+        for n in range(1, len(heard) + 1)
+        for some in combinations(range(len(heard)), n)
+        if (np.diff(when[list(some)]) >= apart).all()
+    )
+    found = interval_filter(data)
+    kept = np.flatnonzero(found.keep)
+    assert data.n_heard[kept].sum() == best and len(kept) < len(heard)
+    assert (np.diff(np.nanmin(data.toa[kept], axis=1)) >= apart).all()
+    assert set(found.why[data.n_heard == 0]) == {"not heard"}
+    assert set(found.why[heard]) == {"", "too soon for a ping"}
+    assert interval_filter(data, 1e-3 + np.hypot(150, 150) / SOUND).keep.sum() >= len(kept)
+    with pytest.raises(InputError, match="shortest burst interval is not known"):
+        interval_filter(ArrivalTimes(data.toa, receivers, data.sound_speed))
+
+
+def test_a_reflection_that_looks_like_a_ping_goes():
+    toa, _ = canal_toa(np.random.default_rng(0), p_na=0.0, p_mp=0.0)
+    late = toa.toa[10:11] + 3.0
+    late[0, 2:] = np.nan
+    rows = np.insert(toa.toa, 11, late, axis=0)
+    speed = np.full(len(rows), SOUND)
+    both = ArrivalTimes(rows, toa.receivers, speed, schedule=toa.schedule)
+    assert np.flatnonzero(~interval_filter(both).keep).tolist() == [11]
