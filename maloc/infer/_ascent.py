@@ -8,7 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maloc._jax import jax, jnp
-from maloc.infer._guide import Frame, Guide, covariances, information, log_density, moved, push
+from maloc.infer._guide import (
+    Frame,
+    Guide,
+    Learnt,
+    covariances,
+    information,
+    log_density,
+    moved,
+    push,
+)
 from maloc.infer._model import ChainModel
 
 __all__ = ["CHUNK", "Engine", "Seen", "State", "ascent", "plan"]
@@ -20,8 +29,8 @@ _RATE, _LAST = 0.05, 0.005  # natural step, held for half the steps and then fal
 class State(NamedTuple):
     """Increments now, and their average so far with its weight."""
 
-    by: Guide
-    average: Guide
+    by: Learnt
+    average: Learnt
     weight: Any
 
 
@@ -62,7 +71,7 @@ def _make(cm: ChainModel, particles: int) -> Engine:
         x, u = push(guide, white)
         return cm.log_joint(x, u, args) - log_density(held, x, u)
 
-    def loss(by: Guide, frame: Frame, white, args):
+    def loss(by: Learnt, frame: Frame, white, args):
         """Minus the bound; the guide's own density is held, so the draws alone carry gradient."""
         guide = moved(frame, by)
         held = jax.lax.stop_gradient(guide)

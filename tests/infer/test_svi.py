@@ -36,7 +36,7 @@ def elsewhere(frame):
     """A guide some way off, every part of it moved."""
     rng = np.random.default_rng(0)
     return moved(
-        frame, jax.tree.map(lambda a: 0.2 * jnp.asarray(rng.normal(size=a.shape)), frame[0])
+        frame, jax.tree.map(lambda a: 0.2 * jnp.asarray(rng.normal(size=a.shape)), still(frame))
     )
 
 
