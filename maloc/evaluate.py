@@ -17,10 +17,15 @@ import numpy as np
 from maloc._canal_scores import ping_scores, track_scores
 from maloc._canal_tables import deciles
 from maloc._limits import Z95
+from maloc._track_tables import as_track
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import polars as pl
+
+    from maloc.data.positions import Positions
 
 __all__ = ["Evaluation", "evaluate", "true_positions"]
 
@@ -58,8 +63,8 @@ class Evaluation:
 
 
 def evaluate(
-    track: pl.DataFrame,
-    truth: pl.DataFrame,
+    track: pl.DataFrame | Positions | str | Path,
+    truth: pl.DataFrame | Positions | str | Path,
     *,
     centre: Any = None,
     near: float = 150.0,
@@ -71,11 +76,14 @@ def evaluate(
 
     Parameters
     ----------
-    track : polars.DataFrame
-        ``time`` (dates as text or datetimes) or ``t`` (s), ``x`` and ``y`` (m); optional ``sd_x``,
-        ``sd_y`` and ``cov_xy``, and the 95 % limits ``x_lo``, ``x_hi``, ``y_lo``, ``y_hi``.
-    truth : polars.DataFrame
-        ``time`` or ``t``, ``x``, ``y``: pings, or fixes of a GPS.
+    track : polars.DataFrame, Positions, str or Path
+        A table or the CSV that it is in: ``time`` (dates as text or datetimes) or ``t`` (s), ``x``
+        and ``y`` (m); optional ``sd_x``, ``sd_y`` and ``cov_xy``, and the 95 % limits ``x_lo``,
+        ``x_hi``, ``y_lo``, ``y_hi``. YAPS's, a VPS's, kaltoa's and a GPS's words for these are
+        known; numbers of a time that can be seconds since 1970 are, others count from an origin
+        that both tables share. Positions in degrees: `maloc.read_positions`.
+    truth : polars.DataFrame, Positions, str or Path
+        Times, ``x``, ``y``: pings, or fixes of a GPS.
     centre : (2,) array, optional
         Where ranges and bearings are from (m): the middle receiver, say. Not given: the middle of
         the true positions.
@@ -96,9 +104,10 @@ def evaluate(
     Raises
     ------
     InputError
-        If a column is missing, or no row has truth.
+        If a column is missing, a table is of several tags, or no row has truth.
     """
-    position, true = _xy(track, "track"), true_positions(track, truth, within)
+    track, truth = as_track(track, "track"), as_track(truth, "truth")
+    position, true = _xy(track), true_positions(track, truth, within)
     known = np.isfinite(true).all(axis=1) & np.isfinite(position).all(axis=1)
     if not known.any():
         raise InputError(
@@ -171,16 +180,30 @@ def energy(off: np.ndarray, sd: np.ndarray, corner: np.ndarray, seed: int) -> np
     return to_truth - 0.5 * apart
 
 
-def true_positions(track: pl.DataFrame, truth: pl.DataFrame, within: float = 5.0) -> np.ndarray:
+def true_positions(
+    track: pl.DataFrame | Positions | str | Path,
+    truth: pl.DataFrame | Positions | str | Path,
+    within: float = 5.0,
+) -> np.ndarray:
     """Return the true position (P, 2) at each row's time, NaN where the truth says nothing.
 
     Parameters and errors as in `evaluate`. Times are compared as dates where both tables have them,
     else as seconds.
     """
-    column = "time" if _dated(track) and _dated(truth) else "t"
-    mine, clock = _seconds(track, column, "track"), _seconds(truth, column, "truth")
+    track, truth = as_track(track, "track"), as_track(truth, "truth")
+    both = set(track.columns) & set(truth.columns)
+    if not {"time", "t"} & both:
+        one = "truth" if "t" in track.columns else "track"
+        raise InputError(
+            f"the {one} has dates, the other table seconds from an origin of its own",
+            mend="give both dates, or both seconds from one origin",
+        )
+    column = "time" if "time" in both else "t"
+    mine, clock = _seconds(track[column]), _seconds(truth[column])
+    told = np.isfinite(clock)
+    clock, xy = clock[told], _xy(truth)[told]
     order = np.argsort(clock, kind="stable")
-    clock, xy = clock[order], _xy(truth, "truth")[order]
+    clock, xy = clock[order], xy[order]
     after = np.clip(np.searchsorted(clock, mine), 1, max(len(clock) - 1, 1))
     before = np.maximum(after - 1, 0)
     after = np.minimum(after, len(clock) - 1)
@@ -194,30 +217,13 @@ def true_positions(track: pl.DataFrame, truth: pl.DataFrame, within: float = 5.0
     return np.where((inside | close)[:, None], out, np.nan)
 
 
-def _dated(table: pl.DataFrame) -> bool:
-    return "time" in table.columns and bool(table["time"].is_not_null().all())
+def _seconds(values: pl.Series) -> np.ndarray:
+    if values.name == "t":
+        return values.to_numpy()
+    return (values.dt.epoch("ns").cast(float) * 1e-9).to_numpy()
 
 
-def _seconds(table: pl.DataFrame, column: str, name: str) -> np.ndarray:
-    import polars as pl
-
-    if column not in table.columns:
-        raise InputError(
-            f"the {name} has no column '{column}'", mend="'time' are dates, 't' seconds"
-        )
-    values = table[column]
-    if values.dtype == pl.String:
-        text = values.str.strip_chars_end("Z").to_numpy().astype("datetime64[ns]")
-        return text.astype(np.int64) * 1e-9
-    if isinstance(values.dtype, pl.Datetime):
-        return values.dt.epoch("ns").to_numpy() * 1e-9
-    return values.to_numpy().astype(float)
-
-
-def _xy(table: pl.DataFrame, name: str) -> np.ndarray:
-    for column in ("x", "y"):
-        if column not in table.columns:
-            raise InputError(f"the {name} has no column '{column}'", mend="x and y are metres")
+def _xy(table: pl.DataFrame) -> np.ndarray:
     return np.asarray(table["x", "y"].to_numpy(), float)
 
 
