@@ -20,9 +20,9 @@ from maloc.infer._guide import (
 )
 from maloc.infer._model import ChainModel
 
-__all__ = ["CHUNK", "Engine", "Seen", "State", "ascent", "plan"]
+__all__ = ["CHUNK", "Engine", "Seen", "State", "ascent", "climb", "rising", "settle"]
 
-CHUNK = 50
+CHUNK = 25
 _RATE, _LAST = 0.05, 0.005  # natural step, held for half the steps and then falling to the last
 
 
@@ -51,11 +51,25 @@ class Engine(NamedTuple):
     covariances: Callable
 
 
-def plan(steps: int) -> np.ndarray:
-    """Size of each step and its weight in the average (steps, 2)."""
-    t = (np.arange(steps) + 0.5) / steps
-    rate = np.interp(t, [0.5, 1.0], [_RATE, _LAST])
-    return np.column_stack([rate, t > 0.5])
+def climb() -> np.ndarray:
+    """Size of each step of a chunk and its weight in the average (CHUNK, 2), on the way up."""
+    return np.column_stack([np.full(CHUNK, _RATE), np.zeros(CHUNK)])
+
+
+def settle(chunks: int) -> np.ndarray:
+    """The same of so many chunks at the end (chunks, CHUNK, 2): falling rates, averaged."""
+    t = (np.arange(chunks * CHUNK) + 0.5) / (chunks * CHUNK)
+    rate = np.interp(t, [0.0, 1.0], [_RATE, _LAST])
+    return np.column_stack([rate, np.ones(len(t))]).reshape(chunks, CHUNK, 2)
+
+
+def rising(seen: list[Seen]) -> bool:
+    """Whether the bound of the last chunk is above that of the one before, beyond their noise."""
+    before, last = (part.bound[part.finite] for part in seen[-2:])
+    if min(len(before), len(last)) < 2:
+        return True
+    noise = np.hypot(*(np.std(part, ddof=1) / np.sqrt(len(part)) for part in (before, last)))
+    return bool(np.mean(last) - np.mean(before) > 2 * noise)
 
 
 def ascent(cm: ChainModel, particles: int) -> Engine:

@@ -30,8 +30,8 @@ from maloc.infer.marginal import MarginalFit
 from maloc.infer.mode import _factor
 
 __all__ = [
-    "Frame", "Guide", "Learnt", "covariances", "information", "laplace_frame", "log_density", "moved", "push",
-    "still", "whitening",
+    "Frame", "Guide", "Learnt", "covariances", "information", "laplace_frame", "log_density",
+    "moved", "push", "still", "whitening",
 ]  # fmt: skip
 
 
@@ -49,7 +49,7 @@ class Guide(NamedTuple):
 
 
 class Learnt(NamedTuple):
-    """Increments of the parts that are learnt: x (T, d), u (k,), c (k, k), root, carry (T, d, d)."""
+    """Increments of what is learnt: x (T, d), u (k,), c (k, k), root and carry (T, d, d)."""
 
     x: jax.Array
     u: jax.Array

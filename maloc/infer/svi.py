@@ -13,7 +13,7 @@ import numpy as np
 
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
-from maloc.infer._ascent import CHUNK, Seen, State, ascent, plan
+from maloc.infer._ascent import CHUNK, Seen, State, ascent, climb, rising, settle
 from maloc.infer._guide import Guide, laplace_frame, moved, still, whitening
 from maloc.infer._map import WhiteningMap
 from maloc.infer.laplace import laplace
@@ -53,7 +53,8 @@ def svi(
     *args
         The model's arguments.
     steps : int
-        Gradient steps, in chunks of 50; the guide is the average over the last half.
+        Gradient steps at most. The first half ends early where the bound no longer rises; the guide
+        is the average over as many more, at falling rates.
     particles : int
         Draws a step, an even number.
     draws, seed : int
@@ -84,8 +85,8 @@ def svi(
     """
     if particles < 2 or particles % 2:
         raise ValueError("particles must be an even number: draws come in antithetic pairs")
-    if steps < CHUNK:
-        raise ValueError(f"steps must be {CHUNK} or more")
+    if steps < 2 * CHUNK:
+        raise ValueError(f"steps must be {2 * CHUNK} or more")
     if isinstance(model, LaplaceFit):
         start = model
     else:
@@ -94,26 +95,31 @@ def svi(
     engine = ascent(cm, particles)
     with stages.time("map"):
         frame = laplace_frame(cm, data, start.marginal)
-    chunks = -(-steps // CHUNK)
-    rates = plan(chunks * CHUNK)
-    keys = jax.random.split(key, chunks + 1)
+    half = -(-steps // (2 * CHUNK))
+    keys = iter(jax.random.split(key, 2 * half + 1))
+    white = jax.random.normal(next(keys), (checks, cm.k + frame.start.x.size))
     state = State(still(frame), still(frame), jnp.zeros(()))
     seen: list[Seen] = []
     warnings = list(start.warnings)
-    with stages.time("optimisation"), _bar(chunks * CHUNK, progress) as bar:
+    with stages.time("optimisation"), _bar(2 * half * CHUNK, progress) as bar:
+
+        def advance(rates):
+            nonlocal state
+            state, chunk = engine.advance(state, next(keys), jnp.asarray(rates), frame, data)
+            seen.append(Seen(*(np.asarray(part) for part in chunk)))
+            bar.update(CHUNK)
+
         try:
-            for i in range(chunks):
-                now = jnp.asarray(rates[i * CHUNK : (i + 1) * CHUNK])
-                state, chunk = engine.advance(state, keys[i], now, frame, data)
-                seen.append(Seen(*(np.asarray(part) for part in chunk)))
-                bar.update(CHUNK)
+            while len(seen) < half and (len(seen) < 2 or rising(seen)):
+                advance(climb())
+            for rates in settle(len(seen)):
+                advance(rates)
         except KeyboardInterrupt:
             if not seen:
                 raise
             warnings.append("interrupted: what has been learnt so far is kept")
         by = state.average if float(state.weight) else state.by
         guide = moved(frame, by)
-        white = jax.random.normal(keys[-1], (checks, cm.k + guide.x.size))
         bound = np.asarray(engine.bounds(guide, white, data))
     history = Seen(*(np.concatenate(part) for part in zip(*seen, strict=True)))
     warnings += _unsettled(history, bound, white.shape[1])

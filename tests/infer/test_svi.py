@@ -8,7 +8,7 @@ import pytest
 import maloc.infer
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
-from maloc.infer._ascent import Seen, ascent
+from maloc.infer._ascent import CHUNK, Seen, ascent, rising
 from maloc.infer._guide import (
     _precision,
     covariances,
@@ -182,11 +182,34 @@ def test_interrupted(fixes_fit, monkeypatch):
 
     stop_after(2)
     fit = maloc.infer.svi(KEY, fixes_fit, progress=False)
-    assert len(fit.history) == 100
+    assert len(fit.history) == 2 * CHUNK
     assert any("interrupted" in w for w in fit.warnings)
     stop_after(0)
     with pytest.raises(KeyboardInterrupt):
         maloc.infer.svi(KEY, fixes_fit, progress=False)
+
+
+def test_stops_early(fit):
+    """Long before 400 steps the bound of a few fixes is where it stays."""
+    assert 4 * CHUNK <= len(fit.history) < 400
+    last = fit.history[-CHUNK:]
+    assert abs(last.mean() - fit.elbo) < 5 * np.hypot(fit.elbo_error, last.std() / CHUNK**0.5)
+
+
+def test_rising():
+    """Two chunks whose noise is 1: seen when they are two of it apart, whatever was not finite."""
+    noise = np.random.default_rng(6).normal(size=CHUNK)
+    noise = (noise - noise.mean()) / noise.std(ddof=1)
+    fine = np.ones(CHUNK, bool)
+
+    def chunks(rise, finite=fine):
+        return [Seen(noise, fine, None), Seen(np.where(finite, noise + rise, np.nan), finite, None)]
+
+    error = np.sqrt(2 / CHUNK)
+    assert rising(chunks(2.01 * error))
+    assert not rising(chunks(1.99 * error))
+    assert rising(chunks(5.0, np.arange(CHUNK) < 20))
+    assert rising(chunks(0.0, np.arange(CHUNK) < 1))
 
 
 def test_refusals(fixes_fit):
