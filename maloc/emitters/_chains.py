@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ _LONGEST = 20  # mean intervals without a located ping that are still a gap, not
 _SURE = 20.0  # nats that leaving a ping out costs at most
 _WILD = 0.02  # share of wrong positions
 _SLACK = 0.05  # s, of an emission time
+_EXCHANGE = 5.0  # nats; what costs less may be an exchange of two transmitters
 
 
 class Pings(NamedTuple):
@@ -40,6 +42,8 @@ class Chains(NamedTuple):
         Nats that the second chain is worth.
     apart : float
         Nats by which the chains' own paths explain the places better than one path through all.
+    exchange : array (E, 2)
+        Where two chains may as well have changed places: time, s, and the nats it would cost.
     settings : Settings
         As learnt.
     """
@@ -47,6 +51,7 @@ class Chains(NamedTuple):
     chains: list[np.ndarray]
     gain: float
     apart: float
+    exchange: np.ndarray
     settings: Settings
 
 
@@ -154,7 +159,7 @@ def best_chains(pings: Pings, settings: Settings, most: int) -> Chains:
         As many as are each worth something.
     """
     if not len(pings.time):
-        return Chains([], 0.0, 0.0, settings)
+        return Chains([], 0.0, 0.0, np.empty((0, 2)), settings)
     extent = np.ptp(pings.xy, axis=0) + 100.0
     area = float(np.prod(extent))
     for _ in range(3):
@@ -169,7 +174,8 @@ def best_chains(pings: Pings, settings: Settings, most: int) -> Chains:
         values.append(value)
         best = chains
     gain = values[2] - values[1] if len(values) > 2 else 0.0
-    return Chains(best, gain, _apart(pings, settings, area, best), settings)
+    exchange = _exchanges(pings, settings, area, best)
+    return Chains(best, gain, _apart(pings, settings, area, best), exchange, settings)
 
 
 def _learnt(pings: Pings, settings: Settings, chains: list[np.ndarray]) -> Settings:
@@ -203,6 +209,30 @@ def _apart(pings: Pings, settings: Settings, area: float, chains: list[np.ndarra
     two = [c[(c >= first) & (c <= last)] for c in two]
     # joining two paths into one adds a step: against "anywhere" that is worth nothing
     return sum(move(c) for c in two) - move(np.sort(np.concatenate(two)))
+
+
+def _exchanges(
+    pings: Pings, settings: Settings, area: float, chains: list[np.ndarray]
+) -> np.ndarray:
+    """Where chains may be exchanged: time (s) of the step and what it would cost (nats), (E, 2)."""
+
+    def cost(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        gap = pings.time[b] - pings.time[a]
+        with np.errstate(invalid="ignore"):
+            return -settings.log_gap(gap) - settings.log_move(pings, a, b, area)
+
+    found = [np.empty((0, 2))]
+    for one, other in combinations(chains, 2):
+        i, k = np.arange(len(one) - 1)[:, None], np.arange(len(other) - 1)[None]
+        # steps that overlap in time: each begins before the other ends
+        i, k = np.nonzero((one[i] < other[k + 1]) & (other[k] < one[i + 1]))
+        a, b, c, d = one[i], one[i + 1], other[k], other[k + 1]
+        more = cost(a, d) + cost(c, b) - cost(a, b) - cost(c, d)
+        near = more < _EXCHANGE
+        middle = (np.maximum(pings.time[a], pings.time[c]) + pings.time[np.minimum(b, d)]) / 2
+        found.append(np.stack([middle[near], more[near]], axis=1))
+    out = np.concatenate(found)
+    return out[np.argsort(out[:, 0])]
 
 
 def _flow(pings: Pings, settings: Settings, area: float, k: int) -> tuple[list[np.ndarray], float]:

@@ -49,6 +49,9 @@ class Split:
         Log likelihood ratio (nats) of two transmitters against one.
     apart : float
         Part of it (nats) by which two paths explain the places better than one.
+    doubt : array (D, 2)
+        Moments (s from the origin) at which the transmitters' pings may be exchanged from there
+        on, most often because they met; and the nats (below 5) that this would cost.
     n_conflicts : int
         Pairs of successive located pings nearer in time than the shortest burst interval.
     note : str
@@ -60,6 +63,7 @@ class Split:
     why: np.ndarray
     evidence: float
     apart: float
+    doubt: np.ndarray
     n_conflicts: int
     note: str
 
@@ -129,7 +133,7 @@ def split_same_code(
     if note:
         return Split(
             (toa,), np.zeros(len(toa), int), np.full(len(toa), ""), found.gain, apart,
-            n_conflicts, note,
+            np.empty((0, 2)), n_conflicts, note,
         )  # fmt: skip
     chain, why = _follow(toa, rows, chains, pings, found.settings, echo, float(points.sigma))
     order = np.argsort(-np.bincount(chain[chain >= 0], minlength=len(chains)), kind="stable")
@@ -138,9 +142,10 @@ def split_same_code(
     counts = ", ".join(str(len(t)) for t in tables)
     note = (
         f"{len(tables)} transmitters with one code: {counts} pings, {int((chain < 0).sum())} of "
-        f"none; {found.gain:.0f} nats better than one, {n_conflicts} pings too soon after another"
+        f"none; {found.gain:.0f} nats better than one, {n_conflicts} pings too soon after another, "
+        f"{len(found.exchange)} moments at which they may be exchanged"
     )
-    return Split(tables, chain, why, found.gain, apart, n_conflicts, note)
+    return Split(tables, chain, why, found.gain, apart, found.exchange, n_conflicts, note)
 
 
 def _judge(found, chains: list, n_conflicts: int, n_located: int) -> tuple[str, float]:
