@@ -7,9 +7,10 @@ two transmitters with one code apart.
 
 from __future__ import annotations
 
-from maloc.emitters.association import Association, Sensing, associate, fuse
+from maloc.emitters.association import Association, associate, fuse
 from maloc.emitters.metrics import Gospa, gospa, ospa
 from maloc.emitters.same_code import Split, split_same_code
+from maloc.emitters.sensing import Sensing
 from maloc.emitters.simulate import SCENES, Scan, Scene, simulate
 from maloc.emitters.simulate_code import CodeDesign, CodeScene, simulate_code
 from maloc.emitters.tracking import Tracker, Tracks

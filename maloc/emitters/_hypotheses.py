@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from maloc.emitters.association import Sensing
+    from maloc.emitters.sensing import Sensing
 
 __all__ = ["Hypotheses", "enumerate_hypotheses"]
 

@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from maloc.data.arrivals import ArrivalTimes
-from maloc.emitters._chains import Pings, Settings, best_chains
+from maloc.emitters._chain_laws import Pings, Settings
+from maloc.emitters._chains import best_chains
 from maloc.errors import InputError
 
 __all__ = ["Split", "split_same_code"]

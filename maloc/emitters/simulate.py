@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maloc.emitters.association import Sensing
+from maloc.emitters.sensing import Sensing
 from maloc.errors import InputError
 
 __all__ = ["SCENES", "Scan", "Scene", "simulate"]

@@ -9,7 +9,8 @@ import pytest
 
 from maloc.data import Schedule, prepare, toa_matrix
 from maloc.emitters import CodeDesign, CodeScene, simulate_code, split_same_code
-from maloc.emitters._chains import Pings, Settings, _flow, best_chains
+from maloc.emitters._chain_laws import Pings, Settings
+from maloc.emitters._chains import _flow, best_chains
 from maloc.emitters.simulate_code import ORIGIN
 from maloc.errors import InputError
 
