@@ -85,7 +85,7 @@ def track(
     water: Annotated[
         Path | None,
         typer.Option(
-            help="GeoJSON of the water: animals are not on land (not --model detections)."
+            help="GeoJSON or raster of the water: none is on land (not --model detections)."
         ),
     ] = None,
     depth: Annotated[

@@ -192,7 +192,7 @@ def read_water(file: str | Path, receivers: Receivers, **how: Any) -> Water:
     Parameters
     ----------
     file : path
-        GeoJSON, see `maloc.data.polygons.read_polygons`.
+        GeoJSON, or a raster of water or of elevations, see `maloc.data.polygons.read_polygons`.
     receivers : Receivers
         In whose frame.
     **how

@@ -83,6 +83,33 @@ def test_polygons_are_read_in_the_receivers_frame(tmp_path):
     np.testing.assert_array_equal(local[0], corners)
 
 
+@pytest.mark.parametrize("kind", ["mask", "elevation"])
+def test_water_of_a_raster(tmp_path, kind):
+    """A lake with an island and a cell without data: its area, holes and frame."""
+    rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed")
+    wet = np.zeros((20, 30), bool)
+    wet[2:18, 3:27] = True
+    wet[8:11, 10:15] = False
+    grid = wet.astype("uint8") if kind == "mask" else np.where(wet, -3.5, 2.0)
+    grid[5, 20] = 255
+    how = {"driver": "GTiff", "height": 20, "width": 30, "count": 1, "dtype": grid.dtype}
+    how |= {"crs": "EPSG:32632", "nodata": 255, "transform": rasterio.Affine(5, 0, 500, 0, -5, 6e6)}
+    path = tmp_path / "lake.tif"
+    with rasterio.open(path, "w", **how) as file:
+        file.write(grid, 1)
+    (found,) = read_polygons(path, "EPSG:32632")
+    shape = shapely.Polygon(found[0], found[1:])
+    assert len(found) == 3
+    assert shape.area == 25 * (16 * 24 - 15 - 1)
+    assert shape.bounds == (515.0, 6e6 - 90, 635.0, 6e6 - 10)
+    assert not shape.contains(shapely.Point(500 + 5 * 20.5, 6e6 - 5 * 5.5))
+    (degrees,) = read_polygons(path, "EPSG:4326")
+    assert len(degrees[0]) == len(found[0]) and np.abs(degrees[0][:, 0]).max() < 10
+    path.write_text("no raster")
+    with pytest.raises(InputError, match="cannot be read as a raster"):
+        read_polygons(path)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -1,4 +1,4 @@
-"""Polygons from GeoJSON, in the receivers' frame."""
+"""Polygons from GeoJSON, or the water of a raster, in the receivers' frame."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from maloc.data.raster import SUFFIXES, outlines, read_raster
 from maloc.errors import InputError
 
 __all__ = ["read_polygons"]
 
 
 def read_polygons(file: str | Path, crs: str | None = None) -> list[list[np.ndarray]]:
-    """Read polygons with their holes from GeoJSON.
+    """Read polygons with their holes from GeoJSON, or those of a raster's water.
 
     Parameters
     ----------
     file : path
         A geometry, a feature or a collection of them; polygons and multipolygons are taken.
         Longitude and latitude, as GeoJSON has them, or the frame that its member ``crs`` names.
+        Or a raster (.tif and others): of 0 and 1, the water, or of elevations, water below 0;
+        cells without data are land.
     crs : str, optional
         Frame to put them in; None: a local frame, in which the file's numbers are metres.
 
@@ -32,25 +35,31 @@ def read_polygons(file: str | Path, crs: str | None = None) -> list[list[np.ndar
     Raises
     ------
     InputError
-        If it is no GeoJSON, or there is no polygon in it.
+        If it can't be read, or there is no polygon in it.
     """
     path = Path(file)
+    rings, own = (_raster if path.suffix.lower() in SUFFIXES else _geojson)(path)
+    if not rings:
+        raise InputError("holds no polygon", file=path, mend="give an outline as one")
+    if crs is None or own is None or own == crs:
+        return rings
+    from pyproj import Transformer
+
+    change = Transformer.from_crs(own, crs, always_xy=True)
+    return [[np.column_stack(change.transform(*r.T)) for r in polygon] for polygon in rings]
+
+
+def _raster(path: Path) -> tuple[list[list[np.ndarray]], str | None]:
+    found = read_raster(path)
+    return outlines(found, path), found.crs
+
+
+def _geojson(path: Path) -> tuple[list[list[np.ndarray]], str]:
     try:
         read = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, ValueError) as problem:
         raise InputError(f"is no GeoJSON: {problem}", file=path) from None
-    rings = [[_ring(r, path) for r in polygon] for polygon in _polygons(read)]
-    if not rings:
-        raise InputError("holds no polygon", file=path, mend="give an outline as one")
-    if crs is None:
-        return rings
-    from pyproj import Transformer
-
-    own = _frame(read)
-    if own == crs:
-        return rings
-    change = Transformer.from_crs(own, crs, always_xy=True)
-    return [[np.column_stack(change.transform(*r.T)) for r in polygon] for polygon in rings]
+    return [[_ring(r, path) for r in polygon] for polygon in _polygons(read)], _frame(read)
 
 
 def _polygons(read: Any) -> list:

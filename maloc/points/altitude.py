@@ -6,13 +6,13 @@ Depth counts down everywhere; a bird 30 m above sea level has depth -30.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from maloc.data.arrivals import ArrivalTimes
+from maloc.data.raster import read_raster
 from maloc.errors import InputError
 
 __all__ = ["PLACES", "Depth", "Terrain", "depths", "read_terrain"]
@@ -103,19 +103,9 @@ def read_terrain(file: str | Path, above: float = 0.0) -> Terrain:
     InputError
         If rasterio is not installed or cannot read the file.
     """
-    try:
-        rasterio: Any = import_module("rasterio")
-    except ImportError:
-        raise InputError(
-            "reading terrain needs rasterio", file=file, mend="pip install 'maloc[terrain]'"
-        ) from None
-    try:
-        with rasterio.open(file) as data:
-            grid = data.read(1, masked=True).astype(float).filled(np.nan)
-            crs = data.crs.to_string() if data.crs else None
-            return Terrain(grid, tuple(data.transform)[:6], crs, above)
-    except rasterio.errors.RasterioError as problem:
-        raise InputError(f"no terrain: {problem}", file=file) from None
+    raster = read_raster(file)
+    grid = np.ma.filled(raster.grid.astype(float), np.nan)
+    return Terrain(grid, raster.transform, raster.crs, above)
 
 
 Depth = Literal["auto", "flat", "sensor", "3d"] | float | np.ndarray | Terrain

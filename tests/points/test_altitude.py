@@ -140,5 +140,5 @@ def test_geotiff_is_read_as_written(tmp_path):
     assert (got.crs, got.above, got.transform) == ("EPSG:32631", 30.0, want.transform)
     assert np.isnan(got.elevation[0, 0])
     np.testing.assert_allclose(got.elevation[1:], want.elevation[1:])
-    with pytest.raises(InputError, match="no terrain"):
+    with pytest.raises(InputError, match="cannot be read as a raster"):
         read_terrain(tmp_path / "none.tif")
