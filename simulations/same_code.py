@@ -101,7 +101,7 @@ def main(argv: list[str] | None = None) -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--runs", type=int, default=2)
-    parser.add_argument("--hours", type=float, default=4.0)
+    parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--harsh", action="store_true")
     parser.add_argument("--method", default="laplace", choices=("laplace", "points"))
     parser.add_argument("--seed", type=int, default=0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from maloc.emitters._chain_laws import AWAY, Pings, Settings
 
-__all__ = ["Chains", "best_chains"]
+__all__ = ["ENTER", "Chains", "best_chains"]
 
-_ENTER = 20.0  # nats that a transmitter more costs; more than an absence
+ENTER = 40.0  # nats that a transmitter more must be worth; more than an absence costs
 _EXCHANGE = 5.0  # nats; what costs less may be an exchange of two transmitters
 
 
@@ -24,7 +24,7 @@ class Chains(NamedTuple):
     chains : list of array of int
         Pings of each transmitter, in order of time.
     gain : float
-        Nats that the second chain is worth.
+        Nats by which the second chain explains the pings better; 0 where it is not worth `ENTER`.
     apart : float
         Nats by which the chains' own paths explain the places better than one path through all.
     exchange : array (E, 2)
@@ -72,7 +72,7 @@ def best_chains(pings: Pings, settings: Settings, most: int) -> Chains:
             break
         values.append(value)
         best = chains
-    gain = values[2] - values[1] if len(values) > 2 else 0.0
+    gain = values[2] - values[1] + ENTER if len(values) > 2 else 0.0
     exchange = _exchanges(pings, settings, area, best)
     return Chains(best, gain, _apart(pings, settings, area, best), exchange, settings)
 
@@ -150,7 +150,7 @@ def _flow(pings: Pings, settings: Settings, area: float, k: int) -> tuple[list[n
     gone = np.flatnonzero(later < n)
     enter, leave, hall, source, sink = i, n + i, 2 * n + i, 3 * n, 3 * n + 1
     edges = [
-        (np.full(n, source), enter, np.full(n, _ENTER)),
+        (np.full(n, source), enter, np.full(n, ENTER)),
         (enter, leave, -settings.worth(pings.n_heard)),
         (leave, np.full(n, sink), np.zeros(n)),
         (leave[a], enter[b], cost),

@@ -23,14 +23,14 @@ import numpy as np
 
 from maloc.data.arrivals import ArrivalTimes
 from maloc.emitters._chain_laws import Pings, Settings
-from maloc.emitters._chains import best_chains
+from maloc.emitters._chains import ENTER, Chains, best_chains
 from maloc.errors import InputError
 
 __all__ = ["Split", "split_same_code"]
 
 ECHO_S = 1.0  # pings sent so soon after another are its reflections, or collisions
 FEW = 5  # pings that make a transmitter
-EVIDENCE = 20.0  # nats by which another transmitter must explain the pings better
+APART = 20.0  # nats by which two paths must explain the places better than one
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -47,7 +47,8 @@ class Split:
         Why a ping is no transmitter's; "" where it is one's. Empty of one transmitter alone:
         nothing was taken out.
     evidence : float
-        Log likelihood ratio (nats) of two transmitters against one.
+        Log likelihood ratio (nats) of two transmitters against one; 0 where it is below the 40
+        that are asked.
     apart : float
         Part of it (nats) by which two paths explain the places better than one.
     doubt : array (D, 2)
@@ -149,18 +150,18 @@ def split_same_code(
     return Split(tables, chain, why, found.gain, apart, found.exchange, n_conflicts, note)
 
 
-def _judge(found, chains: list, n_conflicts: int, n_located: int) -> tuple[str, float]:
+def _judge(found: Chains, chains: list, n_conflicts: int, n_located: int) -> tuple[str, float]:
     """Why it is one transmitter, "" if it is not; and how far apart the two are, nats."""
     if len(found.chains) < 2:
-        return f"one transmitter: {n_conflicts} of {n_located} located pings too soon", 0.0
-    apart = found.apart
-    if found.gain < EVIDENCE or len(chains) < 2:
         return (
-            f"one transmitter: a second would explain the pings {found.gain:.0f} nats better, "
-            f"{EVIDENCE:g} are asked",
-            apart,
+            f"one transmitter: a second is worth less than {ENTER:g} nats ({n_conflicts} of "
+            f"{n_located} located pings come too soon after another)",
+            0.0,
         )
-    if apart < EVIDENCE:
+    apart = found.apart
+    if len(chains) < 2:
+        return f"one transmitter: a second would have fewer than {FEW} located pings", apart
+    if apart < APART:
         return (
             f"one transmitter: {n_conflicts} pings come sooner than the burst limits allow, but "
             "from where the others come: the limits are wrong",

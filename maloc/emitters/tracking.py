@@ -106,6 +106,7 @@ class Tracker:
         )
         self._tracks: list[_Track] = []
         self._next = 0
+        self._latest = -np.inf
 
     def step(self, time: float, position: np.ndarray, covariance: np.ndarray) -> Tracks:
         """Take the positions of one step.
@@ -127,13 +128,16 @@ class Tracker:
         Raises
         ------
         InputError
-            If shapes do not agree.
+            If shapes do not agree, or the time is not later than the last.
         """
         position, covariance = np.asarray(position, float), np.asarray(covariance, float)
         k = len(position)
         if position.shape != (k, 2) or covariance.shape != (k, 2, 2):
             raise InputError(f"positions {position.shape} and covariances {covariance.shape}")
-        when = _ZERO + timedelta(seconds=float(time))
+        if not time > self._latest:
+            raise InputError(f"a step at {time:g} s is not later than the last, {self._latest:g} s")
+        self._latest = float(time)
+        when = _ZERO + timedelta(seconds=self._latest)
         free = [self._soup.detection(x, c, when) for x, c in zip(position, covariance, strict=True)]
         for confirmed in (True, False):  # confirmed tracks choose first
             mine = [t for t in self._tracks if t.confirmed == confirmed]

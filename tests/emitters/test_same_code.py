@@ -10,7 +10,7 @@ import pytest
 from maloc.data import Schedule, prepare, toa_matrix
 from maloc.emitters import CodeDesign, CodeScene, simulate_code, split_same_code
 from maloc.emitters._chain_laws import Pings, Settings
-from maloc.emitters._chains import _flow, best_chains
+from maloc.emitters._chains import ENTER, _flow, best_chains
 from maloc.emitters.simulate_code import ORIGIN
 from maloc.errors import InputError
 
@@ -107,7 +107,7 @@ def test_the_flow_is_the_best_of_all_labellings():
             return 0.0
         a, b = rows[:-1], rows[1:]
         gap = settings.log_gap(time[b] - time[a]).sum()
-        return worth[rows].sum() + gap + settings.log_move(pings, a, b, area).sum() - 20.0
+        return worth[rows].sum() + gap + settings.log_move(pings, a, b, area).sum() - ENTER
 
     best = max(
         value(tuple(i for i in range(8) if label[i] == 1))

@@ -83,5 +83,9 @@ def test_bad_input_is_refused():
         Tracker(1.0, confirm=(7, 6))
     with pytest.raises(InputError, match="association"):
         Tracker(1.0, association="best")
+    tracker = Tracker(1.0)
     with pytest.raises(InputError, match="positions"):
-        Tracker(1.0).step(0.0, np.zeros((2, 2)), COVARIANCE)
+        tracker.step(0.0, np.zeros((2, 2)), COVARIANCE)
+    tracker.step(1.0, np.zeros((1, 2)), COVARIANCE)
+    with pytest.raises(InputError, match="not later"):
+        tracker.step(1.0, np.zeros((1, 2)), COVARIANCE)
