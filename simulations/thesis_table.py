@@ -103,6 +103,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--late", type=_shares, default=(0.0, 0.06, 0.15), metavar="P,P")
     parser.add_argument("--base", choices=("ls", "de"), default="ls", help="de: as the thesis")
     parser.add_argument("--box", action="store_true", help="fish roam 60 m around the array")
+    parser.add_argument("--receivers", type=Path, help="table of other receivers in the canal")
     parser.add_argument("--noise", choices=("gaussian", "poisson"), default="gaussian")
     parser.add_argument("--pings", type=int, default=250)
     parser.add_argument("--seed", type=int, default=0)
@@ -115,7 +116,8 @@ def main(argv: list[str] | None = None) -> int:
     methods = tuple(name.format(base=given.base) for name in OURS)
     try:
         found = run_canal(
-            Settings(design, given.seed), own_cases(given.tracks, given.missing, given.late),
+            Settings(design, given.seed, receivers=given.receivers),
+            own_cases(given.tracks, given.missing, given.late),
             methods, given.out, workers=given.workers, quiet=given.quiet,
         )  # fmt: skip
     except InputError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 import pytest
+from scipy.stats import binom
 
 from maloc import _canal
 from maloc._canal_cases import own_cases
@@ -70,6 +71,13 @@ def test_steps_of_table_c1():
     assert STEPS_C1.keys() == TABLE_C1.keys()
     assert STEPS_C1[0.0, 0.0] == (0.62, 3.41) and STEPS_C1[0.5, 0.15] == (72.49, 44.03)
     assert all(TABLE_C1[c].chain < step.kf for c, step in STEPS_C1.items())
+
+
+@pytest.mark.parametrize("missing", [0.1, 0.2, 0.3, 0.4, 0.5])
+def test_least_squares_of_the_thesis_loses_pings_of_three_of_six_receivers(missing):
+    """What docs/classical.md says of it: .62 m, and 112 m where at most three of six hear."""
+    lost = binom(6, 1 - missing).cdf(3)
+    assert 0.62 + 112 * lost == pytest.approx(TABLE_C1[missing, 0.0].ls, rel=0.12)
 
 
 def test_the_command_in_small(tmp_path, capsys, monkeypatch):
