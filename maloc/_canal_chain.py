@@ -115,9 +115,7 @@ def _ek_toa(case: Case, settings: Settings) -> Located:
 def _of_states(mean: np.ndarray, covariance: np.ndarray, rows: np.ndarray, n: int) -> Located:
     position, sd = np.full((2, n, 2), np.nan)
     position[rows] = mean[:, :2]
-    variance = np.diagonal(covariance, axis1=1, axis2=2)[:, :2]
-    # where three arrivals hardly fix a place, rounding can leave a variance below 0: not known
-    sd[rows] = np.sqrt(np.where(variance >= 0, variance, np.nan))
+    sd[rows] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :2])
     return Located(position, sd, position - Z95 * sd, position + Z95 * sd)
 
 

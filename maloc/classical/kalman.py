@@ -28,6 +28,8 @@ __all__ = ["MOVEMENTS", "KalmanTrack", "States", "kalman"]
 
 MOVEMENTS = tuple(LAWS)
 
+_NOWHERE = 1e4  # m; a position of a larger sd says nothing, and its digits would cost the others'
+
 
 class States(NamedTuple):
     """Means (T, n) and covariances (T, n, n) of states: d positions (m), then velocities (m/s)."""
@@ -161,7 +163,8 @@ def kalman(
     Notes
     -----
     The first state is the first position with its covariance (a flat prior), at a velocity of sd
-    ``sigma_vel``, or 1 m/s for "crw".
+    ``sigma_vel``, or 1 m/s for "crw". Positions whose covariance is not finite, or their error
+    beyond 10 km, say nothing and are not used (``used``).
     """
     if movement not in LAWS:
         raise InputError(f"movement '{movement}' is none of {', '.join(LAWS)}")
@@ -169,7 +172,8 @@ def kalman(
     if parameters is not None and set(parameters) != set(law.names):
         raise InputError(f"the parameters of '{movement}' are {' and '.join(law.names)}")
     usable = np.asarray(np.isfinite(points.position).all(axis=1))
-    usable &= np.isfinite(points.covariance).all(axis=(1, 2))
+    variance = np.trace(points.covariance, axis1=1, axis2=2)
+    usable &= np.isfinite(points.covariance).all(axis=(1, 2)) & (variance <= _NOWHERE**2)
     if keep is not None:
         usable &= np.asarray(keep, bool)
     # of two pings at one time, one that can be used

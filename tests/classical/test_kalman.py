@@ -150,6 +150,20 @@ def test_what_cannot_be_used_is_filled_in():
         kalman(given, parameters={"sigma": 1.0})
 
 
+def test_a_position_that_says_nothing_costs_the_others_nothing():
+    """Three arrivals in a line: an error of 80 km along one direction."""
+    given, known = points(n=12, missing=()), {"sigma_vel": 0.3, "t05": 200.0}
+    covariance = given.covariance.copy()
+    along = np.array([0.8, 0.6])
+    covariance[5] = 8e4**2 * np.outer(along, along) + 0.1 * np.eye(2)
+    found = kalman(given.replace(covariance=covariance), parameters=known)
+    assert np.flatnonzero(~found.used).tolist() == [5]
+    want = kalman(given, parameters=known, keep=np.arange(12) != 5)
+    for mine, theirs in zip(found.smoothed, want.smoothed, strict=True):
+        np.testing.assert_allclose(mine, theirs)
+    assert (np.diagonal(found.smoothed.covariance, axis1=1, axis2=2) > 0).all()
+
+
 def test_the_benchmark_runs(monkeypatch, capsys):
     from benchmarks import kalman as benchmark
 
