@@ -120,6 +120,14 @@ def test_laplace_agrees_with_the_linear_fit(laplace, fitted):
 
 
 @pytest.mark.extended
+def test_nuts_mixes_and_agrees(laplace, fitted):
+    """Late arrivals in the law: two chains say the same, and what the linear fit says."""
+    found = maloc.infer.nuts(jax.random.key(0), laplace, draws=500, progress=False)
+    assert not found.warnings  # an R-hat above 1.05 would be one
+    agree(found, fitted, 0.3, 0.25)
+
+
+@pytest.mark.extended
 def test_plain_nuts_runs(fitted):
     sampler = MCMC(NUTS(clock_sync, max_tree_depth=4), num_warmup=5, num_samples=5,
                    progress_bar=False)  # fmt: skip
