@@ -72,7 +72,8 @@ def screen(
         return []
     text = (
         f"{sent} detections of {tag} come sooner than its burst interval allows, but several "
-        "receivers heard them: it was sent so (when switched on?), or the limits are wrong; kept"
+        "receivers heard them: sent so (when switched on?), the limits are wrong, or two tags have "
+        "this code (maloc.emitters.split_same_code); kept"
     )
     return [Note("warning", text, sent)]
 

@@ -1,6 +1,7 @@
 """Long tracks by windows: the same fit as in one piece."""
 
 import importlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ import maloc
 from maloc._stages import Stages
 from maloc.infer import _windows, long
 from maloc.infer._model import chain_model
+from maloc.infer.mode import find_mode
 from maloc.simulate import canal_toa
+from tests import oracles
 
 HOW = {"movement": "rw", "error": "gaussian"}  # compile fast
 
@@ -60,6 +63,30 @@ def test_seams_do_not_show(pieces):
         rtol=0.1,
         atol=1e-2,
     )
+
+
+def test_windows_settle_with_their_ends_held(pieces):
+    """From a path that is off everywhere: inside a window nothing is left to gain, ends stay."""
+    cm, args, whole = pieces
+    mode, u = np.asarray(whole.marginal.x), np.asarray(whole.marginal.u)
+    x = mode + np.random.default_rng(3).normal(0, 0.5, mode.shape)
+    own, place = _windows.cut(args, 27, 55), slice(27, 55)
+    held: Any = _windows._Held(cm, True, True)
+    found = find_mode(held, own, x[place], u, tol=1e-12)
+    assert found.converged
+    np.testing.assert_array_equal(found.x[[0, -1]], x[place][[0, -1]])
+    gradient = np.asarray(cm.exact(found.x, u, own, 0.0)[1])
+    assert np.abs(gradient[1:-1]).max() < 1e-4 < np.abs(gradient[[0, -1]]).max()
+    band = oracles.from_band(held.exact(found.x, u, own, 0.0)[2])
+    dense = oracles.from_band(np.asarray(cm.exact(found.x, u, own, 0.0)[2]))
+    inner = slice(cm.d, -cm.d)
+    np.testing.assert_allclose(band[inner, inner], dense[inner, inner])
+    assert not band[: cm.d, cm.d :].any() and not band[inner, -cm.d :].any()
+    # all windows, then all seams: what is left is what neighbours do to one another
+    sd = np.sqrt(np.einsum("tii->ti", whole.marginal.factor.covariances()))
+    settled = _windows.settled(cm, args, x, u, 28)
+    before, after = (np.abs((p - mode) / sd)[:120].max() for p in (x, settled))
+    assert after < 0.2 < before
 
 
 def test_short_tracks_and_other_models_are_left_alone(pieces):
