@@ -129,6 +129,7 @@ def main() -> None:
     parser.add_argument("--pings", type=int, default=40)
     parser.add_argument("--nuts", type=int, default=0)
     parser.add_argument("--draws", type=int, default=500)
+    parser.add_argument("--steps", type=int, default=100, help="of SVI")
     parser.add_argument("--workers", type=int, default=0)
     parser.add_argument("--kill", type=int, default=0)
     parser.add_argument("--no-svi", action="store_true")
@@ -145,7 +146,7 @@ def main() -> None:
     print(f"Laplace             {laplace:8.1f}  ({laplace / len(toas):.3f} a tag)", flush=True)
     if not given.no_svi:
         begun = time.process_time()
-        found = maloc.tags.fit(toas, method="svi", **quiet)
+        found = maloc.tags.fit(toas, method="svi", steps=given.steps, **quiet)
         both = time.process_time() - begun
         print(f"SVI with its start  {both:8.1f}  ({both / len(toas):.3f} a tag)", flush=True)
         for row in found.population():
