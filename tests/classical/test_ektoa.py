@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from maloc.classical import ek_toa
 from maloc.classical._steps import LAWS, steps
 from maloc.classical.ektoa import linearised
-from maloc.errors import InputError
+from maloc.errors import InputError, MalocWarning
 from maloc.simulate import canal_toa
 
 KNOWN = {"rw": (0.5,), "ctcrw": (0.3, 100.0)}
@@ -73,6 +73,18 @@ def test_it_finds_the_track_where_nothing_is_late():
     assert found.parameters["sigma"] == pytest.approx(2.0, abs=0.5)  # signed Poisson(1) ms
     there = found.predict(found.time[[3, 10]])
     np.testing.assert_allclose(there.mean, found.smoothed.mean[[3, 10]], atol=1e-9)
+
+
+def test_pings_with_one_first_arrival_are_counted():
+    toa, _ = canal()
+    how: dict = {"parameters": {"sigma_vel": 0.3, "t05": 100.0}, "sigma": 1.5}
+    rows = np.sort(np.r_[np.arange(len(toa.toa)), 3])
+    twice = toa.replace(
+        toa=toa.toa[rows], sound_speed=toa.sound_speed[rows], ping=np.arange(len(rows))
+    )
+    with pytest.warns(MalocWarning, match="1 pings have another's first arrival time"):
+        found = ek_toa(twice, **how)
+    np.testing.assert_array_equal(found.smoothed.mean, ek_toa(toa, **how).smoothed.mean)
 
 
 def test_refusals():
