@@ -306,10 +306,13 @@ def run_sync(
             raw = reading.detections(detections)
             log.report(raw.report)
             known = None if anchors is None else read_anchors(anchors)
+            if known is not None:
+                log.report(known.report)
         with log.stage("sync"):
             how = {"sound_speed": speed, "reference": reference, "progress": not quiet}
             sync = fit(raw, table, **how)
-            sync = sync if known is None else sync.anchored(*known)
+            if known is not None:
+                sync = sync.anchored(known.receiver, known.recorded, known.true)
         for note in sync.notes:
             (log.notice if note.level == "info" else log.warn)(note.text)
         log.release()

@@ -9,6 +9,7 @@ import numpy as np
 from maloc._jax import jnp
 from maloc._limits import Z95
 from maloc._stages import Stages
+from maloc.data.clock_pings import ClockPings
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
@@ -184,17 +185,22 @@ class Fit:
         """Posterior mean of a part of the first observed site that has it, (T, R)."""
         mean = next(np.asarray(v[part]) for v in self._arrivals()[1].values() if part in v)
         data = self.args[0]
-        mean = np.where(np.asarray(data.heard), mean, np.nan)
-        return mean[: self.n_states, np.asarray(data.present)]
+        mean = np.where(np.asarray(data.heard), mean, np.nan)[: self.n_states]
+        return mean if isinstance(data, ClockPings) else mean[:, np.asarray(data.present)]
 
     def p_direct(self) -> np.ndarray:
-        """Posterior probability that each arrival is direct, (T, R); NaN where not heard."""
+        """Posterior probability that each arrival is direct, (T, R); NaN where not heard.
+
+        Of `maloc.models.clock_sync`, as `residuals`, (K, M, D): see `maloc.data.clock_pings`.
+        """
         return self._mean_part("p_direct")
 
     def residuals(self) -> np.ndarray:
         """Posterior mean residual of each arrival (s), (T, R); NaN where not heard."""
-        speed = np.asarray(self.args[0].speed)[: self.n_states]
-        return self._mean_part("residual") / speed[:, None]
+        found, data = self._mean_part("residual"), self.args[0]
+        if isinstance(data, ClockPings):  # whose arrivals are times, ms; all others' are ranges
+            return 1e-3 * found
+        return found / np.asarray(data.speed)[: self.n_states, None]
 
     def parameters(self) -> list[dict[str, Any]]:
         """One row a parameter: name, mean, sd, q2.5, q97.5, ess_bulk, ess_tail, r_hat, unit."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from maloc.data._time import NS
+from maloc.data.report import ReadReport
 from maloc.errors import InputError
 
 __all__ = ["Anchors", "read_anchors"]
@@ -29,11 +30,14 @@ class Anchors(NamedTuple):
         What the receiver's clock showed, ns since 1970.
     true : array (N,) of int64
         True time then, ns since 1970.
+    report : ReadReport
+        What was noted while reading.
     """
 
     receiver: np.ndarray
     recorded: np.ndarray
     true: np.ndarray
+    report: ReadReport
 
 
 def read_anchors(path: str | Path) -> Anchors:
@@ -59,9 +63,10 @@ def read_anchors(path: str | Path) -> Anchors:
     file = load(path)
     table = None if vdat.sniff(file.data) else table_of(file)
     if table is None or vue_events.matches(table):
-        found = read_events(path, tz="UTC").references
+        events = read_events(path, tz="UTC")
+        found = events.references
         true = found.time + np.rint(found.behind * NS).astype(np.int64)
-        anchors = Anchors(found.receiver, found.time, true)
+        anchors = Anchors(found.receiver, found.time, true, events.report)
     else:
         roles = locate(table, _COLUMNS)
         if missing := [role for role in _COLUMNS if role not in roles]:
@@ -77,7 +82,8 @@ def read_anchors(path: str | Path) -> Anchors:
                 row = int(np.argmin(there))
                 raise table.error("a value is missing", row, table.columns[roles[role]])
         receiver = np.asarray(name.to_list(), str)
-        anchors = Anchors(receiver, times["recorded"][0], times["true"][0])
+        report = ReadReport("anchors", (str(path),), len(receiver))
+        anchors = Anchors(receiver, times["recorded"][0], times["true"][0], report)
     if not len(anchors.receiver):
         raise InputError("no moment of known true time", file=path)
     return anchors

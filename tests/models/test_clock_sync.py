@@ -119,6 +119,18 @@ def test_laplace_agrees_with_the_linear_fit(laplace, fitted):
     agree(laplace, fitted, 0.25, 0.2)
 
 
+def test_residuals_are_those_of_the_linear_fit(laplace, fitted):
+    found, direct = laplace.residuals(), laplace.p_direct()
+    heard = np.asarray(laplace.args[0].heard)
+    np.testing.assert_array_equal(np.isfinite(found), heard)
+    assert ((direct[heard] >= 0) & (direct[heard] <= 1)).all()
+    theirs = fitted.residuals
+    clear = theirs.p_direct > 0.99  # late ones pull the two laws differently
+    ours = np.sort(found[heard][direct[heard] > 0.99])
+    assert np.std(ours) == pytest.approx(np.std(theirs.residual[clear]), rel=0.1)
+    assert abs(np.mean(clear) - np.mean(direct[heard] > 0.99)) < 0.1
+
+
 @pytest.mark.extended
 def test_nuts_mixes_and_agrees(laplace, fitted):
     """Late arrivals in the law: two chains say the same, and what the linear fit says."""

@@ -93,6 +93,7 @@ def test_anchors_from_what_receivers_logged(tmp_path):
     found = sync.read_anchors(path)
     assert found.receiver.tolist() == ["301001"]
     assert (found.recorded - found.true).tolist() == [8 * 10**9]
+    assert found.report.rows == 2 and found.report.files
     path.write_text(head + other)
     with pytest.raises(InputError, match="no moment of known true time"):
         sync.read_anchors(path)
