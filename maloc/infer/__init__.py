@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from maloc.infer._arviz import read_posterior
 from maloc.infer.criticism import InputCheck, InputChecks, check_inputs
 from maloc.infer.laplace import laplace
 from maloc.infer.loo import loo_by_ping
@@ -23,5 +24,6 @@ __all__ = [
     "laplace",
     "loo_by_ping",
     "nuts",
+    "read_posterior",
     "svi",
 ]
