@@ -17,8 +17,8 @@ from maloc._predict_run import run_predict
 from maloc.cli import app
 from maloc.errors import InputError
 from maloc.infer._export import write_posterior
-from maloc.infer._stored import movement_group
 from maloc.infer._paths import path_draws
+from maloc.infer._stored import movement_group
 from maloc.movement import OU
 from maloc.predict import prediction_table, read_tracks, regular_times
 from maloc.statespace import SoftBox
