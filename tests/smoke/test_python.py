@@ -62,6 +62,8 @@ def test_arviz_summary(fit):
     assert float(table["mean"].iloc[0]) == pytest.approx(drawn.mean(), rel=0.05)
 
 
+# what ArviZ says of a few pings that each have a position of their own
+@pytest.mark.filterwarnings("ignore:Estimated shape parameter:UserWarning")
 def test_arviz_loo(fit):
     import arviz as az
 
@@ -69,6 +71,7 @@ def test_arviz_loo(fit):
     assert found.n_data_points == int(np.asarray(fit.args[0].heard)[: fit.n_states].sum())
 
 
+@pytest.mark.filterwarnings("ignore:Estimated shape parameter:UserWarning")
 def test_loo_by_ping(laplace):
     assert maloc.infer.loo_by_ping(laplace, 20).n_data_points == laplace.n_states
 
