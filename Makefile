@@ -62,7 +62,9 @@ test-extended: $(STAMP)
 
 # side by side: one core would idle while the types are checked
 test: $(STAMP)
+	@rm -f $(VENV)/.passed
 	@$(MAKE) --no-print-directory -j2 lint pytest
+	@touch $(VENV)/.passed
 
 # The legs: what a user does, from a raw export to every output, and the tests of whatever leans on
 # an optional dependency. Deprecations are errors on the newest versions; the oldest have their own.

@@ -56,12 +56,16 @@ def test_every_package_is_in_the_wheel(root_dir: Path):
 
 
 def test_one_version(root_dir: Path):
+    """What is built has the package's own; the papers of a release name the same."""
     import maloc
 
     config = tomllib.loads((root_dir / "pyproject.toml").read_text())
+    assert config["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "maloc.__version__"}
     citation = (root_dir / "CITATION.cff").read_text()
-    assert config["project"]["version"] == maloc.__version__
-    assert f"version: {maloc.__version__}" in citation
+    assert f"version: {maloc.__version__}\n" in citation
+    changes = (root_dir / "CHANGELOG.md").read_text()
+    latest, dated = re.findall(r"^## (\S+) \((\S+)\)$", changes, flags=re.M)[0]
+    assert latest == maloc.__version__ and f"date-released: {dated}\n" in citation
 
 
 @pytest.mark.parametrize(
