@@ -186,7 +186,7 @@ class MissedPings(dist.Distribution):
     the same gradient, and one state a term).
     """
 
-    local = True
+    local = summed_out = True
     arg_constraints: Any = {}
     support: Any = dist.constraints.real
     pytree_data_fields = ("gaps", "log_q", "log_density")

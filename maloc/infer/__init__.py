@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from maloc.infer._arviz import read_posterior
+from maloc.infer._replicate import unobserved
 from maloc.infer.criticism import InputCheck, InputChecks, check_inputs
 from maloc.infer.laplace import laplace
 from maloc.infer.loo import loo_by_ping
@@ -26,4 +27,5 @@ __all__ = [
     "nuts",
     "read_posterior",
     "svi",
+    "unobserved",
 ]

@@ -28,7 +28,9 @@ def as_arviz(tree: xr.DataTree) -> Any:
         return tree
     import arviz as az
 
-    groups = {str(name): child.to_dataset() for name, child in tree.children.items()}
+    groups: dict[str, Any] = {
+        str(name): child.to_dataset() for name, child in tree.children.items()
+    }
     return az.InferenceData(attrs=dict(tree.attrs), **groups)
 
 
@@ -38,7 +40,7 @@ def psis(log_ratios: np.ndarray) -> float:
         from arviz import psislw
 
         return float(psislw(np.asarray(log_ratios, float))[1])
-    from arviz_stats.base import array_stats
+    from arviz_stats.base import array_stats  # pyright: ignore[reportMissingImports]
 
     return float(array_stats.psislw(np.asarray(log_ratios, float))[1])
 

@@ -46,7 +46,7 @@ def to_datatree(
     by = _by_ping if log_likelihood == "ping" else _by_value
     groups["log_likelihood"] = names.dataset(by(fit, names))
     if sampled := getattr(fit, "stats", {}):
-        named = {_STATS.get(k, k): np.asarray(v) for k, v in sampled.items()}
+        named = {_STATS.get(k) or k: np.asarray(v) for k, v in sampled.items()}
         groups["sample_stats"] = names.dataset({k: (_DRAW[: v.ndim], v) for k, v in named.items()})
     groups |= _data(fit, names)
     if predictive:

@@ -104,7 +104,7 @@ def names_of(fit: Fit) -> Names:
 
 def _pings(fit: Fit, data: Any, names: Names, tags: tuple[str, ...]) -> dict[str, tuple]:
     n, keep = fit.n_states, names.states
-    heard = np.asarray(getattr(data, "encounters", data).heard).any(axis=1)[:n][keep]
+    heard = np.asarray(getattr(data, "encounters", data).heard)[:n][keep].any(axis=1)
     tag = np.zeros(len(heard), int) if isinstance(data, ToaData) else np.asarray(data.tag)[:n][keep]
     first = np.unique(tag, return_index=True)[1]
     number = np.arange(len(tag)) - first[np.searchsorted(tag[first], tag)] + 1

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpyro.distributions as dist
 from numpyro import handlers
+from numpyro.primitives import Messenger
 
 from maloc._jax import jax, jnp
 from maloc.infer._model import ChainModel, _unwrap
@@ -15,7 +16,34 @@ from maloc.infer._model import ChainModel, _unwrap
 if TYPE_CHECKING:
     from maloc.infer.result import Fit
 
-__all__ = ["log_prior", "replicated"]
+__all__ = ["log_prior", "replicated", "unobserved"]
+
+
+class unobserved(Messenger):
+    """A model whose data are to be drawn, not given: for `numpyro.infer.Predictive`.
+
+    ``Predictive(model)`` returns data that are observed as they are;
+    ``Predictive(maloc.infer.unobserved(model), draws)(key, data)`` draws them at the places, times
+    and masks of the data given. Factors, and the missed pings that a model sums out, stay.
+
+    Parameters
+    ----------
+    fn : callable
+        A NumPyro model.
+    """
+
+    def process_message(self, msg) -> None:
+        """Take the value of an observed site away."""
+        if msg["type"] != "sample" or not msg["is_observed"]:
+            return
+        if _is_data(_unwrap(msg["fn"])[0]):
+            msg["value"], msg["is_observed"] = None, False
+
+
+def _is_data(law) -> bool:
+    """Whether values of the law can be drawn: no factor, nothing that is summed out."""
+    known = type(law).sample is not dist.Distribution.sample
+    return known and not isinstance(law, dist.Unit) and not getattr(law, "summed_out", False)
 
 
 def replicated(fit: Fit, seed: int = 0) -> dict[str, np.ndarray]:
@@ -39,18 +67,16 @@ def _drawer(cm: ChainModel):
         for name, site in cm._trace(cm.sites(x, u)[0], args).items():
             if site["type"] != "sample" or not site["is_observed"]:
                 continue
-            law, _ = _unwrap(site["fn"])
-            if isinstance(law, dist.Unit):
-                continue  # a factor
+            if not _is_data(law := _unwrap(site["fn"])[0]):
+                continue
             key, own = jax.random.split(key)
-            try:
-                with handlers.block():
-                    out[name] = law.sample(own)
-            except NotImplementedError:
-                continue  # missed pings, summed out: no data
+            with handlers.block():
+                out[name] = law.sample(own)
         return out
 
-    return jax.jit(lambda k, x, u, args: jax.lax.map(lambda d: one(*d, args), (k, x, u)))
+    return jax.jit(
+        lambda k, x, u, args: jax.lax.map(lambda d: one(d[0], d[1], d[2], args), (k, x, u))
+    )
 
 
 def log_prior(fit: Fit) -> dict[str, np.ndarray]:
@@ -68,7 +94,7 @@ def _density(cm: ChainModel):
             if site["type"] == "sample" and not site["is_observed"]
         }
 
-    return jax.jit(lambda x, u, args: jax.lax.map(lambda d: one(*d, args), (x, u)))
+    return jax.jit(lambda x, u, args: jax.lax.map(lambda d: one(d[0], d[1], args), (x, u)))
 
 
 def _flat(fit: Fit):

@@ -1,6 +1,8 @@
 """ArviZ of either generation takes what a fit gives: numbers and figures."""
 
-import arviz as az
+from typing import Any
+
+import arviz
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 import maloc.infer
 from maloc.infer import _arviz
 
+az: Any = arviz  # two generations, of which type checkers see one
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Estimated shape parameter of Pareto:UserWarning",
     "ignore:The figure layout has changed to tight:UserWarning",

@@ -9,9 +9,11 @@ import polars as pl
 import pytest
 import xarray as xr
 from numpyro import handlers
+from numpyro.infer import Predictive
 from scipy import stats
 
 import maloc
+from maloc._jax import jax, jnp
 from maloc.errors import InputError
 from maloc.infer import _arviz
 from maloc.infer._paths import path_draws
@@ -191,9 +193,19 @@ class TestExport:
         np.testing.assert_array_equal(again, drawn)
         prior = tree["log_prior"]
         sigma = fit.draws()["sigma"]
-        wanted = stats.lognorm(1.5, scale=2.0).logpdf(sigma)
+        wanted = stats.lognorm.logpdf(sigma, 1.5, scale=2.0)
         np.testing.assert_allclose(prior["sigma"], wanted, rtol=1e-10)
         assert set(prior.data_vars) == {"sigma", "sigma_vel", "t05", "w", "track", "emission"}
+
+    def test_numpyro_draws_data_of_a_model_that_is_told_so(self, laplace_fit):
+        """Predictive returns what is observed as it is, and draws it of an unobserved model."""
+        fit, data = laplace_fit, laplace_fit.args[0]
+        draws = {k: jnp.asarray(fit.draws(40)[k][0]) for k in ("sigma", "sigma_vel", "t05", "w")}
+        as_is = Predictive(toa_track, draws)(jax.random.key(0), data)["arrival"]
+        assert (np.asarray(as_is) == np.asarray(data.range)).all()
+        drawn = Predictive(maloc.infer.unobserved(toa_track), draws)(jax.random.key(0), data)
+        assert drawn["arrival"].shape == as_is.shape and np.isfinite(drawn["arrival"]).all()
+        assert len(np.unique(drawn["arrival"][:, 0, 0])) == 40
 
     def test_constant_data_says_where_each_detection_is(self, toa, laplace_fit):
         data = laplace_fit.to_inference_data()
