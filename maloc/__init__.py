@@ -14,25 +14,17 @@ if TYPE_CHECKING:
         biology,
         classical,
         detection,
-        drift,
         emitters,
         errors,
         evaluate,
         export,
-        habitat,
         infer,
-        intervals,
-        medium,
         models,
         movement,
         plots,
         points,
         predict,
-        rangetest,
-        renewal,
-        signal,
         simulate,
-        statespace,
         sync,
         tags,
     )
@@ -55,6 +47,9 @@ if TYPE_CHECKING:
         toa_matrix,
     )
     from maloc.data.check import check
+    from maloc.detection import rangetest
+    from maloc.schedule import intervals, renewal, signal
+    from maloc.world import drift, habitat, medium, statespace
 
 __version__ = "0.1.0"
 
@@ -110,36 +105,41 @@ if not TYPE_CHECKING:
             "biology",
             "classical",
             "detection",
-            "drift",
             "emitters",
             "errors",
             "evaluate",
             "export",
-            "habitat",
             "infer",
-            "intervals",
-            "medium",
             "models",
             "movement",
             "plots",
             "points",
             "predict",
-            "rangetest",
-            "renewal",
-            "signal",
             "simulate",
-            "statespace",
             "sync",
             "tags",
         ]
     )
+    # where a name stands that is no module or package of the root itself
+    _HOMES = {
+        "drift": "maloc.world",
+        "habitat": "maloc.world",
+        "intervals": "maloc.schedule",
+        "medium": "maloc.world",
+        "rangetest": "maloc.detection",
+        "renewal": "maloc.schedule",
+        "signal": "maloc.schedule",
+        "statespace": "maloc.world",
+    }
 
     def __getattr__(name: str):
-        """Import a submodule, or a name of ``maloc.data``, on first use."""
+        """Import a module, or a name that another package offers, on first use."""
         if name not in __all__:
             raise AttributeError(f"module 'maloc' has no attribute {name!r}")
         from importlib import import_module
 
+        if name in _HOMES:
+            return import_module(f"{_HOMES[name]}.{name}")
         if name in _SUBMODULES:
             return import_module(f"maloc.{name}")
         home = "maloc.data.check" if name == "check" else "maloc.data"

@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpyro
 import numpyro.distributions as dist
 
-from maloc._clock_walk import ClockWalk
 from maloc._jax import jnp
 from maloc.arrival import DDetect, Gaussian
 from maloc.data.clock_pings import as_clock_pings
 from maloc.models import _clock, _toa
+from maloc.world.clock_walk import ClockWalk
 
 __all__ = ["UNITS", "clock_sync"]
 

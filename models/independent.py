@@ -8,7 +8,7 @@ from maloc._jax import jnp
 from maloc.data.encounter_data import as_encounter_data
 from maloc.detection import squared_distance
 from maloc.models import _parts
-from maloc.statespace import SoftBox
+from maloc.world.statespace import SoftBox
 
 __all__ = ["UNITS", "independent"]
 

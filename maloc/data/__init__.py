@@ -61,12 +61,12 @@ _HOME = {
     "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
     "prepare": "preparation",
-    "read_detections": "readers",
-    "read_events": "readers",
-    "read_positions": "readers",
-    "read_receivers": "readers",
-    "read_tags": "readers",
-    "read_toa": "readers",
+    "read_detections": "maloc.readers",
+    "read_events": "maloc.readers",
+    "read_positions": "maloc.readers",
+    "read_receivers": "maloc.readers",
+    "read_tags": "maloc.readers",
+    "read_toa": "maloc.readers",
     "sensor_values": "tags",
     "toa_matrix": "grouping",
 }
@@ -83,7 +83,11 @@ if TYPE_CHECKING:
     from maloc.data.joint_history import ArrivalHistory, arrival_history
     from maloc.data.positions import Positions
     from maloc.data.preparation import Prepared, prepare
-    from maloc.data.readers import (
+    from maloc.data.receivers import Receivers, collinear
+    from maloc.data.report import Note, ReadReport
+    from maloc.data.tags import Tags, sensor_values
+    from maloc.data.water_column import WaterColumn
+    from maloc.readers import (
         read_detections,
         read_events,
         read_positions,
@@ -91,10 +95,6 @@ if TYPE_CHECKING:
         read_tags,
         read_toa,
     )
-    from maloc.data.receivers import Receivers, collinear
-    from maloc.data.report import Note, ReadReport
-    from maloc.data.tags import Tags, sensor_values
-    from maloc.data.water_column import WaterColumn
 else:
 
     def __getattr__(name: str) -> Any:
@@ -103,6 +103,7 @@ else:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from importlib import import_module
 
-        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        home = _HOME[name]
+        value = getattr(import_module(home if "." in home else f"{__name__}.{home}"), name)
         globals()[name] = value
         return value

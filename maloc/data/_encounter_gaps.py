@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from maloc.data.encounters import EncounterHistory
-from maloc.intervals import IntervalLaw, interval_law
+from maloc.schedule.intervals import IntervalLaw, interval_law
 
 __all__ = ["Silence", "find_gaps", "law_of", "most_missed"]
 

@@ -37,7 +37,7 @@ def chain(history: EncounterHistory) -> States:
     found = find_gaps(history)
     nodes: list[np.ndarray] = []
     if found:
-        from maloc.renewal import gap_nodes
+        from maloc.schedule.renewal import gap_nodes
 
         law = law_of(history)
         nodes = [np.asarray(gap_nodes(g.duration, g.kind, law)) for g in found]

@@ -290,7 +290,7 @@ class ArrivalTimes:
         InputError
             As `maloc.read_toa`.
         """
-        from maloc.data.readers.toa import toa_from_frame
+        from maloc.readers.toa import toa_from_frame
 
         return toa_from_frame(
             _arrays.frame(data),

@@ -20,8 +20,8 @@ from maloc.data.tags import Tags
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
-    from maloc.data.readers._files import File
-    from maloc.data.readers._how import Clock, How
+    from maloc.readers._files import File
+    from maloc.readers._how import Clock, How
 
 __all__ = ["CheckReport", "FileCheck", "check"]
 
@@ -129,7 +129,7 @@ def check(
     CheckReport
         Unreadable files are errors in it; nothing is raised for them.
     """
-    from maloc.data.readers._how import How
+    from maloc.readers._how import How
 
     paths = [paths] if isinstance(paths, str | Path) else list(paths)
     if isinstance(receivers, str | Path):
@@ -149,7 +149,7 @@ def check(
 
 
 def _files(path: str | Path) -> list[tuple[str, File | InputError]]:
-    from maloc.data.readers._files import load_all
+    from maloc.readers._files import load_all
 
     try:
         found = load_all(path)
@@ -171,7 +171,7 @@ class _Study:
 
     def look(self, name: str, file: File | InputError) -> FileCheck | None:
         """Check one file; None for a TOA matrix, which waits for the receivers."""
-        from maloc.data.readers._recognise import open_file
+        from maloc.readers._recognise import open_file
 
         try:
             if isinstance(file, InputError):
@@ -204,7 +204,7 @@ class _Study:
         """What shows only when files are taken together."""
         if not self.detections:
             return []
-        from maloc.data.readers._merge import merge, on_asked_clock, under_one_name
+        from maloc.readers._merge import merge, on_asked_clock, under_one_name
 
         references = ClockReferences.concat(self.references)
         try:
@@ -269,8 +269,8 @@ def _of_receivers(r: Receivers) -> tuple[str, ...]:
 
 
 def _of_matrix(file: Any, receivers: Receivers | None) -> FileCheck:
-    from maloc.data.readers._text import table_of
-    from maloc.data.readers.toa import toa_from_table
+    from maloc.readers._text import table_of
+    from maloc.readers.toa import toa_from_table
 
     kind, name = "TOA matrix", file.name
     if receivers is None:

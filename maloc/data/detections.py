@@ -137,7 +137,7 @@ class Detections:
         df = _arrays.frame(data)
         whole = {"time", "receiver", "tag"} <= set(df.columns)
         if not whole or df["time"].dtype == pl.String:
-            from maloc.data.readers._recognise import read_frame
+            from maloc.readers._recognise import read_frame
 
             return read_frame(df)
         for name in ("time", "receiver", "tag"):

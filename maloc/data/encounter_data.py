@@ -181,7 +181,7 @@ def _gaps(history: EncounterHistory, found: list, pad: bool) -> Any:
     if not found:
         return None
     from maloc.data._encounter_gaps import law_of
-    from maloc.renewal import Gap, pack_gaps
+    from maloc.schedule.renewal import Gap, pack_gaps
 
     gaps = [Gap(g.kind, g.duration, nodes, at, g.first_at_start) for g, nodes, at in found]
     return pack_gaps(gaps, law_of(history), pad=pad)

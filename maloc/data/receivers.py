@@ -190,7 +190,7 @@ class Receivers:
         InputError
             As `maloc.read_receivers`.
         """
-        from maloc.data.readers.receivers import receivers_from_frame
+        from maloc.readers.receivers import receivers_from_frame
 
         return receivers_from_frame(_arrays.frame(data), crs=crs)
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from maloc._jax import jax
-from maloc._path import MarkovPath
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
-from maloc.depth import DepthPath
 from maloc.errors import FitError, InputError
 from maloc.infer._bridge import PathDraws
 from maloc.infer._depths import DepthDraws
 from maloc.infer._model import ChainModel, _unwrap
 from maloc.movement import OU
+from maloc.movement.path import MarkovPath
+from maloc.world.depth import DepthPath
 
 if TYPE_CHECKING:
     from maloc.infer.result import Fit

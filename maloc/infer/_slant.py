@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc.depth import bottom_at, depth_of, path_at
+from maloc.world.depth import bottom_at, depth_of, path_at
 
 if TYPE_CHECKING:
     from maloc.data.joint_data import JointData

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc import signal
 from maloc.data._encounter_gaps import Silence, find_gaps, most_missed
 from maloc.data.encounters import EncounterHistory
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
 from maloc.infer._paths import path_draws
 from maloc.infer.result import Fit
+from maloc.schedule import signal
 
 if TYPE_CHECKING:
     import polars as pl
@@ -76,8 +76,8 @@ def count_missed(fit: Fit, history: EncounterHistory, seed: int = 0) -> Counted 
     found = find_gaps(history)
     if gaps is None or not found:
         return None
-    from maloc import renewal
     from maloc._jax import jax, jnp
+    from maloc.schedule import renewal
 
     draws, keep = flat_draws(fit)
     log_q = draws["log_q"][keep]

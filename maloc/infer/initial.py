@@ -14,7 +14,6 @@ from __future__ import annotations
 import numpy as np
 
 from maloc._jax import jax
-from maloc._path import MarkovPath
 from maloc.arrival import DDetect
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
@@ -22,7 +21,8 @@ from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer._slant import depth_at, put_depth, slant_ranges
 from maloc.infer.mode import anneal, find_mode
-from maloc.statespace import SoftBox
+from maloc.movement.path import MarkovPath
+from maloc.world.statespace import SoftBox
 
 __all__ = ["initial_values", "put_positions", "repair", "stable_interval"]
 

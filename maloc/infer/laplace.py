@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 
 from maloc._jax import require_x64
-from maloc._stages import Stages
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.data.water_column import flat_warning
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
+from maloc.infer._stages import Stages
 from maloc.infer._stretches import straighten
 from maloc.infer.initial import initial_values, repair, stable_interval
 from maloc.infer.long import LongFit, fit_long, long_arguments

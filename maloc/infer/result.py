@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc._jax import jnp
-from maloc._limits import Z95
-from maloc._stages import Stages
+from maloc.data._limits import Z95
 from maloc.data.clock_pings import ClockPings
 from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
-from maloc.habitat import Water
 from maloc.infer import _diagnostics
 from maloc.infer._model import ChainModel
+from maloc.infer._stages import Stages
 from maloc.infer.marginal import MarginalFit
+from maloc.world.habitat import Water
 
 if TYPE_CHECKING:
     from maloc.infer.predict import Prediction, TrackDraws

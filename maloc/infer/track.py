@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc import signal
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import FitError
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
 from maloc.infer._paths import path_draws
 from maloc.infer.result import Fit
+from maloc.schedule import signal
 
 if TYPE_CHECKING:
     import polars as pl

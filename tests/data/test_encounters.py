@@ -19,7 +19,7 @@ from maloc.data import (
 from maloc.data._encounter_gaps import find_gaps, most_missed
 from maloc.data._encounter_states import chain, interpolate
 from maloc.errors import InputError
-from maloc.renewal import gap_log_likelihood, gap_nodes, interval_law
+from maloc.schedule.renewal import gap_log_likelihood, gap_nodes, interval_law
 
 START = 1_622_548_800 * 10**9
 XY = np.array([[x, y] for x in (0.0, 300.0, 600.0) for y in (0.0, 300.0)])

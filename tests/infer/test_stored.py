@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 import maloc.infer
 from maloc._jax import jnp
-from maloc._predict_run import run_predict
 from maloc.cli import app
 from maloc.errors import InputError
 from maloc.infer._export import _movement, write_posterior
 from maloc.infer._paths import path_draws
 from maloc.movement import OU
 from maloc.predict import prediction_table, read_tracks, regular_times
-from maloc.statespace import SoftBox
+from maloc.runs.predict import run_predict
+from maloc.world.statespace import SoftBox
 from tests.infer import cases
 
 ORIGIN = 1_700_000_000_250_000_000  # ns: a quarter of a second past a whole one

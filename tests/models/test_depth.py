@@ -10,10 +10,10 @@ from scipy.stats import norm
 
 from maloc._jax import jax
 from maloc.data import WaterColumn, arrival_history
-from maloc.depth import depth_of
 from maloc.errors import InputError
 from maloc.infer._model import chain_model
 from maloc.models import joint, toa_track
+from maloc.world.depth import depth_of
 from simulations import depth as study
 
 

@@ -13,7 +13,7 @@ import maloc.models
 from maloc._jax import jax, jnp
 from maloc.data import EncounterHistory, Receivers, Schedule
 from maloc.detection import squared_distance
-from maloc.renewal import gap_log_likelihood
+from maloc.schedule.renewal import gap_log_likelihood
 
 NAMES = ("independent", "detection_only", "known_interval", "unknown_interval")
 P0, SCALE, SIGMA = 0.6, 0.9, 0.4

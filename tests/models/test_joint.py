@@ -9,9 +9,9 @@ from scipy.stats import multivariate_normal
 import maloc
 from maloc._jax import jax, jnp
 from maloc.data import Schedule, arrival_history
-from maloc.drift import GaussMarkov, IntervalDrift, interval_step
-from maloc.habitat import water
 from maloc.models import joint, known_interval, toa_track, unknown_interval
+from maloc.world.drift import GaussMarkov, IntervalDrift, interval_step
+from maloc.world.habitat import water
 from tests.infer import cases
 
 
