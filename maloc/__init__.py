@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from maloc._version import __version__ as __version__
+
 if TYPE_CHECKING:
     from maloc import (
         arrival,
@@ -38,20 +40,20 @@ if TYPE_CHECKING:
         WaterColumn,
         arrival_history,
         encounter_history,
+        toa_matrix,
+    )
+    from maloc.detection import rangetest
+    from maloc.readers import (
         read_detections,
         read_events,
         read_positions,
         read_receivers,
         read_tags,
         read_toa,
-        toa_matrix,
     )
-    from maloc.data.check import check
-    from maloc.detection import rangetest
+    from maloc.readers.check import check
     from maloc.schedule import intervals, renewal, signal
     from maloc.world import drift, habitat, medium, statespace
-
-__version__ = "0.1.0"
 
 __all__ = [
     "ArrivalHistory",
@@ -99,6 +101,9 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
+    from maloc import _moved
+
+    _moved.install()
     _SUBMODULES = frozenset(
         [
             "arrival",
@@ -142,7 +147,8 @@ if not TYPE_CHECKING:
             return import_module(f"{_HOMES[name]}.{name}")
         if name in _SUBMODULES:
             return import_module(f"maloc.{name}")
-        home = "maloc.data.check" if name == "check" else "maloc.data"
+        home = "maloc.readers" if name.startswith("read_") else "maloc.data"
+        home = "maloc.readers.check" if name == "check" else home
         value = getattr(import_module(home), name)
         globals()[name] = value
         return value

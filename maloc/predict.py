@@ -174,7 +174,7 @@ def _stored_depth(file: Path):
     with h5netcdf.File(file, "r") as stored:
         if "depth" not in stored.groups:
             return None
-    from maloc.data.depth_data import DepthData
+    from maloc.world.depth_data import DepthData
 
     with xr.open_dataset(file, group="depth", engine="h5netcdf") as found:
         parts: dict[str, Any] = {str(name): np.asarray(v.values) for name, v in found.items()}

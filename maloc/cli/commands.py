@@ -42,7 +42,7 @@ def _root(
     version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
 ) -> None:
     if version:
-        from maloc import __version__
+        from maloc._version import __version__
 
         typer.echo(f"maloc {__version__}")
         raise typer.Exit()
@@ -66,7 +66,7 @@ def check(
 
     Exit code 0 when nothing stands in the way, 2 when an error does.
     """
-    from maloc.data.check import check as check_files
+    from maloc.readers.check import check as check_files
 
     found = check_files(files, receivers, tz, format=format, clock=clock)
     typer.echo(str(found))

@@ -5,10 +5,11 @@ Nothing here needs JAX; polars is imported only when a table is read or written.
 
 from typing import TYPE_CHECKING, Any
 
+from maloc import _moved
+
 __all__ = [
     "ArrivalHistory",
     "ArrivalTimes",
-    "CheckReport",
     "ClockReferences",
     "Detections",
     "EncounterHistory",
@@ -28,12 +29,6 @@ __all__ = [
     "encounter_history",
     "match_tag",
     "prepare",
-    "read_detections",
-    "read_events",
-    "read_positions",
-    "read_receivers",
-    "read_tags",
-    "read_toa",
     "sensor_values",
     "toa_matrix",
 ]
@@ -41,7 +36,6 @@ __all__ = [
 _HOME = {
     "ArrivalHistory": "joint_history",
     "ArrivalTimes": "arrivals",
-    "CheckReport": "check",
     "ClockReferences": "events",
     "Detections": "detections",
     "EncounterHistory": "encounters",
@@ -61,12 +55,6 @@ _HOME = {
     "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
     "prepare": "preparation",
-    "read_detections": "maloc.readers",
-    "read_events": "maloc.readers",
-    "read_positions": "maloc.readers",
-    "read_receivers": "maloc.readers",
-    "read_tags": "maloc.readers",
-    "read_toa": "maloc.readers",
     "sensor_values": "tags",
     "toa_matrix": "grouping",
 }
@@ -74,7 +62,6 @@ _HOME = {
 if TYPE_CHECKING:
     from maloc.data._tags import match_tag
     from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
-    from maloc.data.check import CheckReport
     from maloc.data.detections import Detections
     from maloc.data.encounter_grouping import encounter_history
     from maloc.data.encounters import EncounterHistory
@@ -87,23 +74,14 @@ if TYPE_CHECKING:
     from maloc.data.report import Note, ReadReport
     from maloc.data.tags import Tags, sensor_values
     from maloc.data.water_column import WaterColumn
-    from maloc.readers import (
-        read_detections,
-        read_events,
-        read_positions,
-        read_receivers,
-        read_tags,
-        read_toa,
-    )
 else:
 
     def __getattr__(name: str) -> Any:
         """Import a public name when it is first asked for (PEP 562)."""
         if name not in _HOME:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            return _moved.name_of(__name__, name)
         from importlib import import_module
 
-        home = _HOME[name]
-        value = getattr(import_module(home if "." in home else f"{__name__}.{home}"), name)
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
         globals()[name] = value
         return value

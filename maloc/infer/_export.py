@@ -5,25 +5,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc.data.encounter_data import EncounterData
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
+from maloc.model_data.encounters import EncounterData
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 
 if TYPE_CHECKING:
-    from maloc.infer.result import Fit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["to_datatree", "to_inference_data", "write_posterior"]
 
 
-def _groups(fit: Fit) -> dict:
+def _groups(fit: Fitted) -> dict:
     """InferenceData's groups as xarray Datasets."""
     import xarray as xr
 
-    from maloc import __version__
+    from maloc._version import __version__
 
     draws = fit.draws()
     data = fit.args[0] if fit.args else None
@@ -71,7 +71,7 @@ def _groups(fit: Fit) -> dict:
     return groups
 
 
-def _joint_groups(fit: Fit, data: JointData, names: list[str]) -> dict:
+def _joint_groups(fit: Fitted, data: JointData, names: list[str]) -> dict:
     """Encounters, and the arrivals with where they belong."""
     groups = _encounter_groups(fit, data.encounters)
     if "arrival" in names:
@@ -87,7 +87,7 @@ def _joint_groups(fit: Fit, data: JointData, names: list[str]) -> dict:
     return groups
 
 
-def _encounter_groups(fit: Fit, data: EncounterData) -> dict:
+def _encounter_groups(fit: Fitted, data: EncounterData) -> dict:
     import xarray as xr
 
     n = fit.n_states
@@ -107,7 +107,7 @@ def _encounter_groups(fit: Fit, data: EncounterData) -> dict:
     return {"observed_data": xr.Dataset(observed), "constant_data": xr.Dataset(constant)}
 
 
-def _toa_groups(fit: Fit, data: ToaData, names: list[str]) -> dict:
+def _toa_groups(fit: Fitted, data: ToaData, names: list[str]) -> dict:
     import xarray as xr
 
     n = fit.n_states
@@ -134,7 +134,7 @@ def _toa_groups(fit: Fit, data: ToaData, names: list[str]) -> dict:
     }
 
 
-def to_datatree(fit: Fit):
+def to_datatree(fit: Fitted):
     """All groups as one `xarray.DataTree`; what ``posterior.nc`` holds."""
     import xarray as xr
 
@@ -148,7 +148,7 @@ def to_datatree(fit: Fit):
     return xr.DataTree.from_dict({"/": xr.Dataset(attrs={"creator": "maloc"}), **groups})
 
 
-def _movement(fit: Fit):
+def _movement(fit: Fitted):
     """What a prediction needs besides the path's draws: see `maloc.predict`."""
     import xarray as xr
 
@@ -207,7 +207,7 @@ def _depth(depth, n: int):
 
 
 def write_posterior(
-    fit: Fit, path: Path, tags: Sequence[str], origin: int | None, crs: str | None
+    fit: Any, path: Path, tags: Sequence[str], origin: int | None, crs: str | None
 ) -> None:
     """Write ``posterior.nc``, with the tags' names, time 0 (ns since 1970 UTC) and the frame."""
     tree = fit.to_datatree()
@@ -218,7 +218,7 @@ def write_posterior(
     tree.to_netcdf(path, engine="h5netcdf")
 
 
-def to_inference_data(fit: Fit):
+def to_inference_data(fit: Fitted):
     """All groups as ArviZ InferenceData (arviz < 1) or the DataTree that arviz 1 takes."""
     import arviz as az
 

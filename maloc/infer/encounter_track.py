@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc.data._encounter_gaps import Silence, find_gaps, most_missed
 from maloc.data.encounters import EncounterHistory
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
 from maloc.infer._paths import path_draws
 from maloc.infer.result import Fit
+from maloc.model_data.gaps import Silence, find_gaps, most_missed
 from maloc.schedule import signal
 
 if TYPE_CHECKING:

@@ -189,7 +189,7 @@ def read_shore(options: TrackOptions, receivers: Receivers, log: Log) -> tuple:
 
 
 def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
-    from maloc.data import read_toa
+    from maloc.readers import read_toa
     from maloc.world.medium import with_sound_speed
 
     assert options.toa is not None

@@ -67,7 +67,8 @@ def _say(report: ReadReport, log: Log) -> None:
 
 
 def _from_toa(options: TrackOptions, receivers: Receivers, log: Log):
-    from maloc.data import EncounterHistory, read_toa
+    from maloc.data import EncounterHistory
+    from maloc.readers import read_toa
 
     assert options.toa is not None
     with log.stage("read"):

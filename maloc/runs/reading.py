@@ -28,20 +28,20 @@ class Reading:
 
     def tags(self) -> Tags | None:
         """The table of tags, where one was given."""
-        from maloc.data import read_tags
+        from maloc.readers import read_tags
 
         return None if self.tag_table is None else read_tags(self.tag_table)
 
     def receivers(self, path: Path, crs: str | None) -> Receivers:
         """Read the array, with the sync tags that the table of tags puts beside receivers."""
-        from maloc.data import read_receivers
+        from maloc.readers import read_receivers
 
         found, tags = read_receivers(path, crs=crs), self.tags()
         return found if tags is None else tags.beside(found)
 
     def detections(self, files: Sequence[Path]) -> Detections:
         """Read detections, by animal where there is a table of tags."""
-        from maloc.data import read_detections
+        from maloc.readers import read_detections
 
         found = read_detections(*files, format=self.format, tz=self.tz, clock=self.clock)
         tags = self.tags()

@@ -214,7 +214,7 @@ def _each(
     scheduler: str | None,
 ) -> list[Done]:
     """Fit each tag that is not done yet; pass on what there is to be said of it."""
-    from maloc import __version__
+    from maloc._version import __version__
     from maloc.runs.tags import Job, key_of, run_each
 
     elsewhere = ("detections", "toa", "tags", "receivers")  # in the arrival times

@@ -24,8 +24,8 @@ from jaxtyping import Array
 from numpyro.distributions import constraints
 
 from maloc._jax import jax, jnp
-from maloc.data.depth_data import DepthData
 from maloc.movement.ou import OU
+from maloc.world.depth_data import DepthData
 from maloc.world.habitat import _spline
 
 __all__ = ["DepthPath", "PressureSensor", "bottom_at", "depth_of", "path_at"]

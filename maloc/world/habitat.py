@@ -192,7 +192,7 @@ def read_water(file: str | Path, receivers: Receivers, **how: Any) -> Water:
     Parameters
     ----------
     file : path
-        GeoJSON, or a raster of water or of elevations, see `maloc.data.polygons.read_polygons`.
+        GeoJSON, or a raster of water or of elevations, see `maloc.readers.polygons.read_polygons`.
     receivers : Receivers
         In whose frame.
     **how
@@ -207,8 +207,8 @@ def read_water(file: str | Path, receivers: Receivers, **how: Any) -> Water:
     InputError
         If the file holds no polygon, or a receiver stands more than 20 m inland of it.
     """
-    from maloc.data.polygons import read_polygons
     from maloc.errors import InputError
+    from maloc.readers.polygons import read_polygons
 
     found = water(read_polygons(file, receivers.crs), **how)
     inland = -np.asarray(found.distance(receivers.xy))

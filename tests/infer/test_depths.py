@@ -9,7 +9,6 @@ import pytest
 
 from maloc import infer
 from maloc.data import WaterColumn
-from maloc.data.depth_data import depth_data
 from maloc.data.water_column import flat_warning
 from maloc.infer._bridge import PathDraws
 from maloc.infer._depths import DepthDraws, expected_depths
@@ -20,6 +19,7 @@ from maloc.movement import OU
 from maloc.points.altitude import Terrain
 from maloc.predict import prediction_table, read_tracks
 from maloc.world.depth import bottom_at
+from maloc.world.depth_data import depth_data
 from simulations import depth as study
 from tests.infer.cases import receivers
 

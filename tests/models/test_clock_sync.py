@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 import maloc.infer
 from maloc import sync
 from maloc._jax import jax, jnp
-from maloc.data.clock_pings import as_clock_pings
+from maloc.model_data.clock_pings import as_clock_pings
 from maloc.models import clock_sync
 from maloc.simulate.sync_array import sync_array
 from maloc.world.clock_walk import ClockWalk

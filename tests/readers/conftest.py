@@ -2,7 +2,7 @@
 
 import pytest
 
-from maloc.data import read_detections
+from maloc.readers import read_detections
 
 
 @pytest.fixture

@@ -5,9 +5,10 @@ import polars as pl
 import pytest
 
 import maloc
-from maloc.data import Detections, Receivers
+from maloc.data import Detections
 from maloc.errors import InputError
 from maloc.points import locate
+from maloc.readers import read_receivers
 
 FISH = "A69-1602-12345"
 C = 1475.0
@@ -48,7 +49,7 @@ def test_06_positions_after_synchronisation(case):
     tags = pl.read_csv(folder / "sync_tags.csv", schema_overrides={"serial": pl.String})
     table = pl.read_csv(folder / "receivers.csv", schema_overrides={"serial": pl.String})
     table = table.join(tags.rename({"transmitter": "sync_tag"}), on="serial")
-    receivers = Receivers.from_frame(table)
+    receivers = read_receivers(table)
     raw = maloc.read_detections(folder / "vue.csv")
     sync = maloc.sync.fit(raw, receivers, sound_speed=C, reference="301001")
     toa = maloc.toa_matrix(sync.apply(raw), sync.receivers, FISH, sound_speed=C)
@@ -74,7 +75,7 @@ def test_09_a_moved_receiver_counts_where_it_stood(case):
     both = np.vstack([truth(folder / f"truth_{i}.csv") for i in (1, 2)])
     np.testing.assert_allclose(found, both, atol=3)
     once = pl.read_csv(folder / "deployments.csv").unique("serial", maintain_order=True)
-    wrong = Receivers.from_frame(once.drop("start_utc", "stop_utc"))
+    wrong = read_receivers(once.drop("start_utc", "stop_utc"))
     toa = maloc.toa_matrix(
         d.select(mask=d.time > d.time.min() + 5 * 86400 * 10**9), wrong, FISH, sound_speed=C
     )
@@ -123,7 +124,7 @@ def test_12_corrected_times(case):
 def test_14_nothing_to_synchronise(case):
     folder, places = case("14"), pl.read_csv(case("01") / "receivers.csv")
     tag = pl.lit("A69-1602-6") + pl.col("serial").cast(pl.String)
-    table = Receivers.from_frame(places.with_columns(tag.alias("sync_tag")))
+    table = read_receivers(places.with_columns(tag.alias("sync_tag")))
     for name, says in (("header_only.csv", "no detections"), ("one_row.csv", "1 receiver")):
         d = maloc.read_detections(folder / name)
         with pytest.raises(InputError, match=says):

@@ -5,9 +5,10 @@ import csv
 import numpy as np
 import pytest
 
-from maloc.data import read_detections, read_receivers, read_toa, toa_matrix
-from maloc.data.check import check
+from maloc.data import toa_matrix
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_receivers, read_toa
+from maloc.readers.check import check
 
 FISH = "A69-1602-12345"
 C = 1475.0

@@ -8,16 +8,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from maloc.data import (
-    Receivers,
-    read_detections,
-    read_events,
-    read_positions,
-    read_receivers,
-    toa_matrix,
-)
-from maloc.data.check import check
+from maloc.data import Receivers, toa_matrix
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_events, read_positions, read_receivers
+from maloc.readers.check import check
 
 NS = 1_000_000_000
 VUE = "Date and Time (UTC),Receiver,Transmitter,Transmitter Name,Station Name"

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maloc.data import (
-    Receivers,
+from maloc.data import Receivers
+from maloc.errors import InputError
+from maloc.readers import (
     read_detections,
     read_events,
     read_positions,
@@ -17,8 +18,7 @@ from maloc.data import (
     read_tags,
     read_toa,
 )
-from maloc.data.check import check
-from maloc.errors import InputError
+from maloc.readers.check import check
 
 NS = 1_000_000_000
 R = Receivers(

@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from maloc.data import read_detections, read_receivers
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_receivers
 
 VUE = "Date and Time (UTC),Receiver,Transmitter,Transmitter Name,Station Name"
 NS = 1_000_000_000

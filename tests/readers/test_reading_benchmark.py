@@ -5,7 +5,7 @@ import sys
 import numpy as np
 
 from benchmarks import readers
-from maloc.data import read_detections
+from maloc.readers import read_detections
 
 
 def test_it_runs(monkeypatch, capsys):

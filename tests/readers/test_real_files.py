@@ -6,8 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from maloc.data import read_detections, read_receivers, read_toa, toa_matrix
+from maloc.data import toa_matrix
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_receivers, read_toa
 
 
 def keys(d, tags):

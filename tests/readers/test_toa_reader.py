@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from maloc.data import Receivers, Schedule, read_toa
+from maloc.data import Receivers, Schedule
 from maloc.errors import InputError
+from maloc.readers import read_toa
 
 R = Receivers(np.array(["a", "b", "c"]), np.array([0.0, 300.0, 0.0]), np.array([0.0, 0.0, 400.0]))
 

@@ -10,8 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from maloc.cli import app
-from maloc.data import WaterColumn, read_detections, read_receivers, read_tags, toa_matrix
+from maloc.data import WaterColumn, toa_matrix
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_receivers, read_tags
 from maloc.runs.depth import with_depth
 from maloc.runs.load import Source, TrackOptions
 from maloc.runs.log import Log

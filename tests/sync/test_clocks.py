@@ -5,8 +5,9 @@ import polars as pl
 import pytest
 
 from maloc import sync
-from maloc.data import Detections, read_receivers
+from maloc.data import Detections
 from maloc.errors import InputError
+from maloc.readers import read_receivers
 from maloc.sync import ClockSync
 from tests.sync.simulated import ORIGIN, simulate
 

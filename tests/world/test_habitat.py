@@ -10,9 +10,9 @@ import shapely
 
 import maloc
 from maloc._jax import jax
-from maloc.data.polygons import read_polygons
 from maloc.errors import InputError
 from maloc.models import toa_track
+from maloc.readers.polygons import read_polygons
 from maloc.world.habitat import read_water, water
 
 LAKE = np.array([[0.0, 0], [300, 0], [300, 200], [160, 240], [0, 200]])

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from maloc._jax import jax, jnp
-from maloc.data.model_data import bucket
+from maloc.data._padding import bucket
 from maloc.schedule.intervals import IntervalLaw, interval_law
 from maloc.schedule.renewal import counts, draw, exact, long, pack, poisson
 from maloc.schedule.renewal.gap import Gap, gap_nodes

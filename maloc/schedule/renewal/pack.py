@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maloc.data.model_data import bucket
+from maloc.data._padding import bucket
 from maloc.schedule.intervals import IntervalLaw, Poisson, Stable, Table
 from maloc.schedule.renewal.counts import CountPart, path_weights, terms
 from maloc.schedule.renewal.exact import ExactPart

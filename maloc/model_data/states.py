@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maloc.data._encounter_gaps import Silence, find_gaps, law_of
 from maloc.data.encounters import EncounterHistory
 from maloc.errors import InputError
+from maloc.model_data.gaps import Silence, find_gaps, law_of
+from maloc.schedule.renewal.gap import gap_nodes
 
-__all__ = ["States", "chain", "considered", "covariates", "interpolate", "middles"]
+__all__ = ["States", "chain", "considered", "covariates", "interpolate"]
 
 _SAME = 1e-6  # s; a node so near a ping is the ping's own state
 
@@ -37,8 +38,6 @@ def chain(history: EncounterHistory) -> States:
     found = find_gaps(history)
     nodes: list[np.ndarray] = []
     if found:
-        from maloc.schedule.renewal import gap_nodes
-
         law = law_of(history)
         nodes = [np.asarray(gap_nodes(g.duration, g.kind, law)) for g in found]
     time, tag = [history.time], [history.tag]
@@ -84,21 +83,6 @@ def interpolate(history: EncounterHistory, states: States, values: np.ndarray) -
     at_ping = states.row >= 0
     out[at_ping] = flat[states.row[at_ping]]
     return out.reshape(-1, *values.shape[1:])
-
-
-def middles(history: EncounterHistory) -> np.ndarray:
-    """Middle of the hearing receivers at each ping, linear in time where nobody heard, (P, 2)."""
-    out = np.empty((len(history), 2))
-    out[:] = history.receivers.xy.mean(axis=0)
-    n = history.n_heard
-    middle = history.heard @ history.receivers.xy / np.maximum(n, 1)[:, None]
-    for i, j in zip(history.first_rows, history.last_rows + 1, strict=True):
-        rows = i + np.flatnonzero(n[i:j])
-        if len(rows):
-            for axis in (0, 1):
-                at = np.interp(history.time[i:j], history.time[rows], middle[rows, axis])
-                out[i:j, axis] = at
-    return np.clip(out, history.low, history.high)
 
 
 def considered(history: EncounterHistory, states: States) -> np.ndarray:

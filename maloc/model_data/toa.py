@@ -8,16 +8,15 @@ the chain with nothing heard: they integrate out of every posterior exactly.
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maloc._jax import jax
-from maloc.data.depth_data import DepthData, depth_data
-
-if TYPE_CHECKING:
-    from maloc.data.arrivals import ArrivalTimes
+from maloc.data._links import count_intervals
+from maloc.data._padding import bucket
+from maloc.data.arrivals import ArrivalTimes
+from maloc.world.depth_data import DepthData, depth_data
 
 Numbers = Array | np.ndarray
 
@@ -103,28 +102,6 @@ jax.tree_util.register_dataclass(
     data_fields=[f.name for f in dataclasses.fields(ToaData) if f.name not in _STATIC],
     meta_fields=_STATIC,
 )
-
-
-def bucket(n: int) -> int:
-    """Smallest padded length >= n: 16, 24, 32, 48, 64, 96, ... (steps of 1.33 to 1.5)."""
-    size = 16
-    while size < n:
-        size = size * 3 // 2 if (size & (size - 1)) == 0 else size * 4 // 3
-    return size
-
-
-def count_intervals(first: np.ndarray, kind: str, lo: float, hi: float, slack: float) -> np.ndarray:
-    """Burst intervals in each gap where the limits leave one answer, else 0."""
-    gaps = np.diff(first)
-    if kind == "stable":
-        n = np.rint(gaps / lo)
-        fits = np.abs(gaps - n * lo) < np.maximum(0.25 * lo, 5 * hi)
-        return np.where(fits & (n >= 1), n, 0.0)
-    if kind == "random":
-        least = np.ceil((gaps - slack) / hi)
-        most = np.floor((gaps + slack) / lo)
-        return np.where((least == most) & (least >= 1), least, 0.0)
-    return np.zeros_like(gaps)
 
 
 def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:

@@ -8,16 +8,17 @@ belong to one tag more than there are; nobody listens to it, so they integrate o
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from maloc._jax import jax
-from maloc.data.model_data import bucket
-
-if TYPE_CHECKING:
-    from maloc.data.encounters import EncounterHistory
+from maloc.data._padding import bucket
+from maloc.data.encounters import EncounterHistory
+from maloc.model_data import states as build
+from maloc.model_data.gaps import law_of
+from maloc.schedule.renewal import Gap, pack_gaps
 
 Numbers = Array | np.ndarray
 
@@ -106,7 +107,7 @@ jax.tree_util.register_dataclass(
 
 def as_encounter_data(history: EncounterHistory | EncounterData) -> EncounterData:
     """Model arrays of `history`: as they are, or made without padding from a history."""
-    return history if isinstance(history, EncounterData) else history.to_model_data(pad=False)
+    return history if isinstance(history, EncounterData) else to_model_data(history, pad=False)
 
 
 def to_model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
@@ -123,8 +124,6 @@ def to_model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
     -------
     EncounterData
     """
-    from maloc.data import _encounter_states as build
-
     states = build.chain(history)
     s, r, n = len(states.time), len(history.receivers), len(history.tags)
     more = bucket(s) - s if pad else 0
@@ -150,7 +149,7 @@ def to_model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
     xy = np.concatenate([xy, np.repeat(xy.mean(axis=0)[None], j - r, axis=0)])
     receiver = columns(np.broadcast_to(np.arange(r), (s, r)))
     receiver[:, column.shape[1] :] = np.arange(column.shape[1], k) % j
-    start = build.interpolate(history, states, build.middles(history))
+    start = build.interpolate(history, states, history.middles())
     step = np.where(np.diff(states.tag) == 0, np.maximum(np.diff(states.time), _MIN_STEP), 1.0)
     data = EncounterData(
         time=np.append(states.time, states.time[-1] + np.arange(1.0, more + 1)),
@@ -180,9 +179,6 @@ def to_model_data(history: EncounterHistory, pad: bool = True) -> EncounterData:
 def _gaps(history: EncounterHistory, found: list, pad: bool) -> Any:
     if not found:
         return None
-    from maloc.data._encounter_gaps import law_of
-    from maloc.schedule.renewal import Gap, pack_gaps
-
     gaps = [Gap(g.kind, g.duration, nodes, at, g.first_at_start) for g, nodes, at in found]
     return pack_gaps(gaps, law_of(history), pad=pad)
 

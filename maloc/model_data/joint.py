@@ -1,24 +1,23 @@
 """Everything the array tells, as the joint model sees it: one chain of states of all tags.
 
-States are those of `maloc.data.encounter_data`: heard pings, unheard pings of a known schedule,
+States are those of `maloc.model_data.encounters`: heard pings, unheard pings of a known schedule,
 and nodes inside gaps in which pings may have been missed. Only heard pings have arrival times.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from maloc._jax import jax
-from maloc.data.depth_data import DepthData, depth_data
-from maloc.data.encounter_data import EncounterData
-from maloc.data.model_data import MIN_LATENESS, SPEED_SD
-
-if TYPE_CHECKING:
-    from maloc.data.joint_history import ArrivalHistory
+from maloc.data.joint_history import ArrivalHistory, as_history
+from maloc.model_data.encounters import EncounterData
+from maloc.model_data.encounters import to_model_data as who_heard
+from maloc.model_data.states import chain
+from maloc.model_data.toa import MIN_LATENESS, SPEED_SD
+from maloc.world.depth_data import DepthData, depth_data
 
 Numbers = Array | np.ndarray
 
@@ -146,12 +145,9 @@ def to_model_data(history: ArrivalHistory, pad: bool = True) -> JointData:
     pad : bool
         Pad states, receivers and gaps, so that one compilation serves many data sets.
     """
-    from maloc.data import encounter_data
-    from maloc.data._encounter_states import chain
-
     who = history.encounters
     states = chain(who)
-    encounters = encounter_data.to_model_data(who, pad)
+    encounters = who_heard(who, pad)
     s, r = len(states.time), len(who.receivers)
     more, wider = len(encounters.valid) - s, len(encounters.present) - r
     ping = states.row >= 0
@@ -201,6 +197,4 @@ def as_joint_data(history) -> JointData:
     """Model arrays: as they are, or made without padding from a history or arrival times."""
     if isinstance(history, JointData):
         return history
-    from maloc.data.joint_history import as_history
-
     return to_model_data(as_history(history), pad=False)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from maloc.data.raster import SUFFIXES, outlines, read_raster
 from maloc.errors import InputError
+from maloc.readers.raster import SUFFIXES, outlines, read_raster
 
 __all__ = ["read_polygons"]
 
