@@ -155,7 +155,7 @@ def sync(
     summary.json.
     """
     from maloc.runs.reading import Reading
-    from maloc.runs.track import run_sync
+    from maloc.runs.sync import run_sync
 
     reading = Reading(format, tz, clock, tag_table)
     asked: dict[str, Any] = {"reference": reference, "sound_speed": sound_speed}

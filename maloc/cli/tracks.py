@@ -138,7 +138,7 @@ def track(
     (--model detections or joint, with an interval), missed.csv too. --model detections needs
     neither synchronised clocks nor fractions of a second.
     """
-    from maloc.runs.load import TrackOptions
+    from maloc.runs.options import TrackOptions
     from maloc.runs.reading import Reading
     from maloc.runs.track import run_track
 
@@ -235,7 +235,7 @@ def points(
 
     Writes points.csv, arrivals.csv, map.png, summary.json.
     """
-    from maloc.runs.load import TrackOptions
+    from maloc.runs.options import TrackOptions
     from maloc.runs.points import PointsOptions, run_points
     from maloc.runs.reading import Reading
 

@@ -16,9 +16,8 @@ import numpy as np
 
 from maloc.data._limits import Z95
 from maloc.errors import InputError
-from maloc.evaluate.scores import ping_scores, track_scores
+from maloc.evaluate.scores import deciles, ping_scores, track_scores
 from maloc.evaluate.tables import as_track
-from maloc.studies.canal.tables import deciles
 
 if TYPE_CHECKING:
     from pathlib import Path

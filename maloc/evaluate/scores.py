@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["centre_of", "ping_scores", "track_scores"]
+__all__ = ["centre_of", "deciles", "ping_scores", "track_scores"]
 
 
 def centre_of(receivers: np.ndarray) -> np.ndarray:
@@ -89,3 +89,10 @@ def track_scores(
         r2 = float(pearsonr(expected[known], error[known]).statistic) ** 2  # pyright: ignore
         rho = float(spearmanr(expected[known], error[known]).statistic)  # pyright: ignore
     return {"length": float(walked[0] / walked[1]) if walked[1] > 0 else nan, "r2": r2, "rho": rho}
+
+
+def deciles(expected: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Root mean square error over predicted, in ten equal parts by predicted error, (10,)."""
+    order = np.argsort(expected, kind="stable")
+    parts = np.array_split(order, 10)
+    return np.array([np.sqrt(np.mean(error[p] ** 2) / np.mean(expected[p] ** 2)) for p in parts])

@@ -1,37 +1,17 @@
-"""What `--depth`, `--depth-sd` and `--bottom` of `maloc track` ask for."""
+"""Arrival times with the depth that `--depth`, `--depth-sd` and `--bottom` ask for."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from maloc.errors import InputError
+from maloc.runs.load import Source
+from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions, metres
 
-if TYPE_CHECKING:
-    from maloc.runs.load import Source, TrackOptions
-    from maloc.runs.log import Log
-
-__all__ = ["check_depth", "with_depth"]
-
-KINDS = "flat", "sensor", "3d"
-
-
-def check_depth(options: TrackOptions) -> None:
-    """Raise InputError where the options of depth cannot be meant."""
-    flat = options.depth == "flat"
-    if not flat and options.model == "detections":
-        raise InputError("--depth goes with --model toa or joint")
-    if flat and options.bottom is not None:
-        raise InputError("--bottom says nothing to a flat track", mend="give --depth, too")
-    if not options.depth_sd >= 0:
-        raise InputError(f"--depth-sd {options.depth_sd:g} m is negative")
-    if options.depth not in KINDS and not np.isfinite(_metres(options.depth)):
-        raise InputError(f"--depth {options.depth} is none of {', '.join(KINDS)}, nor metres")
-    if options.bottom is not None and not np.isfinite(_metres(options.bottom)):
-        if not Path(options.bottom).exists():
-            raise InputError(f"--bottom {options.bottom} is neither metres nor a file")
+__all__ = ["with_depth"]
 
 
 def with_depth(source: Source, options: TrackOptions, log: Log) -> Source:
@@ -57,7 +37,7 @@ def with_depth(source: Source, options: TrackOptions, log: Log) -> Source:
             file=options.receivers,
             mend="fill the column depth",
         )
-    fixed = _metres(options.depth)
+    fixed = metres(options.depth)
     water = WaterColumn(_bottom(options), 0.0 if np.isfinite(fixed) else options.depth_sd)
     toas = []
     for toa in source.toas:
@@ -77,15 +57,8 @@ def with_depth(source: Source, options: TrackOptions, log: Log) -> Source:
 
 def _bottom(options: TrackOptions) -> Any:
     """Depth of the water, m, a terrain that knows it, or None."""
-    if options.bottom is None or np.isfinite(_metres(options.bottom)):
-        return None if options.bottom is None else _metres(options.bottom)
+    if options.bottom is None or np.isfinite(metres(options.bottom)):
+        return None if options.bottom is None else metres(options.bottom)
     from maloc.points.altitude import read_terrain
 
     return read_terrain(options.bottom)
-
-
-def _metres(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")

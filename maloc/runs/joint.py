@@ -1,53 +1,21 @@
-"""What `maloc track --model joint` does, from options to a finished folder."""
+"""What `maloc track --model joint` reads and fits."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maloc.errors import InputError
+from maloc.readers.sequence import read_sequence
 from maloc.runs.depth import with_depth
-from maloc.runs.encounters import FittedTags, run_model, tables
-from maloc.runs.load import TrackOptions, load, read_shore
+from maloc.runs.fit_encounters import FittedTags, run_model, tables
+from maloc.runs.load import load, read_shore
 from maloc.runs.load_encounters import Encounters
 from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions
 
-__all__ = ["fit_joint", "read_sequence"]
-
-
-def read_sequence(path: Path) -> np.ndarray:
-    """Burst intervals of a tag in their order, s: one number a line, a heading at most.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a line is no positive number, or there are none.
-    """
-    try:
-        rows = path.read_text(encoding="utf-8-sig").split("\n")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise InputError(f"cannot be read: {problem}", file=path) from None
-    found = []
-    for i, text in enumerate(rows, 1):
-        if not (cell := text.strip().strip(",;")):
-            continue
-        try:
-            value = float(cell)
-        except ValueError:
-            if not found and i == 1:
-                continue  # a heading
-            value = float("nan")
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(
-                f"'{cell}' is no burst interval", file=path, row=i, mend="give seconds, one a line"
-            )
-        found.append(value)
-    if not found:
-        raise InputError("holds no burst intervals", file=path)
-    return np.array(found)
+__all__ = ["fit_joint"]
 
 
 def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:

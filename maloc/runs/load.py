@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from functools import partial
-from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,120 +11,18 @@ import numpy as np
 
 from maloc.data._time import NS
 from maloc.errors import InputError
-from maloc.runs.depth import check_depth
+from maloc.runs.asked import ROW, sync_tags, tags_to_fit, too_soon
 from maloc.runs.log import Log
-from maloc.runs.reading import Reading, too_soon
+from maloc.runs.options import TrackOptions
 from maloc.runs.refuse import check_usable, check_whole_seconds
 
 if TYPE_CHECKING:
-    from maloc.data import ArrivalTimes, Detections, Receivers, Schedule
+    from maloc.data import ArrivalTimes, Detections, Receivers
     from maloc.sync import ClockSync
 
-__all__ = ["Source", "TrackOptions", "load", "speed_of_water", "sync_tags", "tags_to_fit"]
+__all__ = ["Source", "load", "read_shore"]
 
-ROW = "row in the detections as read"  # extra column that survives the synchronisation
 ROUGHLY = 1.0  # s; how well clocks agree that were brought together by the animals' own pings
-
-
-@dataclass(frozen=True)
-class TrackOptions:
-    """Everything that `maloc track` was asked for; written into summary.json."""
-
-    detections: tuple[Path, ...] = ()
-    toa: Path | None = None
-    receivers: Path = Path()
-    reading: Reading = Reading()
-    tags: tuple[str, ...] = ()
-    sync: str = "auto"
-    reference: str | None = None
-    model: str = "toa"
-    movement: str = "ctcrw"
-    detection: str = "halfnormal"
-    loss: bool = True
-    dispersion: bool = False
-    receiver_effects: bool = False
-    error: str = "ddetect"
-    interval: tuple[float, float] | None = None
-    interval_stable: tuple[float, float] | None = None
-    schedule_file: Path | None = None
-    water: Path | None = None
-    depth: str = "flat"
-    depth_sd: float = 1.0
-    bottom: str | None = None
-    sound_speed: str | None = None
-    method: str = "laplace"
-    start: str = "annealed"
-    ignore_columns: tuple[str, ...] = ()
-    crs: str | None = None
-    draws: int = 1000
-    chains: int = 2
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if bool(self.detections) == (self.toa is not None):
-            raise InputError(
-                "no input" if self.toa is None else "both files of detections and --toa were given",
-                mend="give either files of detections or --toa TOA",
-            )
-        given = [self.interval, self.interval_stable, self.schedule_file]
-        if sum(g is not None for g in given) > 1:
-            raise InputError("--interval, --interval-stable and --schedule exclude one another")
-        if self.schedule_file is not None and self.model != "joint":
-            raise InputError("--schedule goes with --model joint only")
-        if self.water is not None and self.model == "detections":
-            raise InputError("--water goes with --model toa or joint")
-        if self.draws < 1:
-            raise InputError(f"--draws must be at least 1, got {self.draws}")
-        if self.chains < 2:
-            raise InputError("--chains must be 2 or more: one chain cannot show it has converged")
-        if self.toa is not None and (self.sync not in ("auto", "none") or self.reference):
-            raise InputError("--toa is on one clock already", mend="leave --sync out")
-        if self.model == "detections" and self.sound_speed is not None:
-            raise InputError("--sound-speed says nothing to --model detections; leave it out")
-        if self.sound_speed == "drifting" and self.model != "joint":
-            raise InputError("--sound-speed drifting goes with --model joint")
-        if self.method == "svi" and self.model == "toa":
-            raise InputError("--method svi goes with --model detections or joint")
-        if self.start == "pmc" and self.model == "detections":
-            raise InputError("--start pmc needs arrival times: not with --model detections")
-        if self.toa is not None and self.reading != Reading():
-            raise InputError(
-                "--format, --tz, --clock and --tag-table go with detections, not --toa"
-            )
-        if self.detections and self.ignore_columns:
-            raise InputError("--ignore-columns goes with --toa only")
-        check_depth(self)
-        self.schedule()
-        self.speed()
-
-    @property
-    def positions(self) -> str | None:
-        """What a fit starts from besides the middle of the array."""
-        return "pmc" if self.start == "pmc" else None
-
-    def schedule(self) -> Schedule:
-        """What is known of the burst interval."""
-        from maloc.data import Schedule
-
-        if self.interval:
-            return Schedule("random", *self.interval)
-        if self.interval_stable:
-            return Schedule("stable", *self.interval_stable)
-        if self.schedule_file is not None:
-            from maloc.runs.joint import read_sequence
-
-            sequence = read_sequence(self.schedule_file)
-            return Schedule("random", float(sequence.min()), float(sequence.max()))
-        return Schedule()
-
-    def speed(self) -> float | Path | None:
-        """The sound speed given, m/s, or its table; None where it is to be estimated."""
-        estimated = self.sound_speed in ("estimated", "drifting")
-        return None if estimated else speed_of_water(self.sound_speed)
-
-    def record(self) -> dict[str, Any]:
-        """The options as plain values."""
-        return {k: v for k, v in asdict(self).items()}
 
 
 class Source(NamedTuple):
@@ -137,24 +34,6 @@ class Source(NamedTuple):
     sync: ClockSync | None
     skipped: dict[str, str]  # tags that cannot be positioned, and why
     beacons: tuple[ArrivalTimes, ...] = ()  # sync tags' pings, with --sync beacons
-
-
-def speed_of_water(text: str | None) -> float | Path | None:
-    """What --sound-speed gives: m/s, or a table of the water's state."""
-    if text is None:
-        return None
-    if Path(text).is_file():
-        return Path(text)
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = nan
-    if not 1300.0 <= speed <= 1700.0:
-        raise InputError(
-            f"--sound-speed {text} is no file, and no speed of sound in water, 1300 to 1700 m/s",
-            mend="give m/s or a table of the water (see --help for words)",
-        )
-    return speed
 
 
 def load(options: TrackOptions, log: Log) -> Source:
@@ -319,23 +198,6 @@ def _with_rows(
     )
     order = np.argsort(merged[1], kind="stable")
     return toa.replace(detection=number, set_aside=SetAside(*(m[order] for m in merged)))
-
-
-def tags_to_fit(options: TrackOptions, detections: Detections, receivers: Receivers) -> list[str]:
-    """Full ids of the tags to fit: those named, or all that are not sync tags."""
-    if options.tags and "all" not in options.tags:
-        return list(dict.fromkeys(detections.find_tag(t) for t in options.tags))
-    sync = sync_tags(detections, receivers)
-    tags = [t for t in detections.tags if t not in sync]
-    if not tags:
-        raise InputError("all tags in the detections are sync tags", mend="name one with --tag")
-    return tags
-
-
-def sync_tags(detections: Detections, receivers: Receivers) -> set[str]:
-    """Full ids of the sync tags that are among the detections."""
-    wanted = {str(s) for s in receivers.sync_tag if s}
-    return {t for t in detections.tags if any(t == s or t.endswith(f"-{s}") for s in wanted)}
 
 
 def _roughly(detections: Detections, receivers: Receivers, options: TrackOptions) -> Detections:

@@ -9,9 +9,9 @@ import numpy as np
 
 from maloc.data._time import NS
 from maloc.errors import InputError
-from maloc.runs.load import ROW, TrackOptions, tags_to_fit
+from maloc.runs.asked import ROW, tags_to_fit, too_soon
 from maloc.runs.log import Log
-from maloc.runs.reading import too_soon
+from maloc.runs.options import TrackOptions
 
 if TYPE_CHECKING:
     from maloc.data import Detections, EncounterHistory, ReadReport, Receivers

@@ -12,8 +12,9 @@ from maloc.data._time import NS
 from maloc.errors import InputError
 from maloc.export.folder import check_free, output_folder
 from maloc.runs import output
-from maloc.runs.load import Source, TrackOptions, load
+from maloc.runs.load import Source, load
 from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions
 
 if TYPE_CHECKING:
     import polars as pl

@@ -1,4 +1,4 @@
-"""How files of detections are read on behalf of a command, and what the burst limits rule out."""
+"""How files of detections are read on behalf of a command."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
     from maloc.data import Detections, Receivers, Tags
     from maloc.readers._how import Clock
-    from maloc.runs.load import TrackOptions
 
-__all__ = ["Reading", "too_soon"]
+__all__ = ["Reading"]
 
 
 @dataclass(frozen=True)
@@ -46,25 +43,3 @@ class Reading:
         found = read_detections(*files, format=self.format, tz=self.tz, clock=self.clock)
         tags = self.tags()
         return found if tags is None else tags.apply(found)
-
-
-def too_soon(options: TrackOptions, detections: Detections, tags: Sequence[str]) -> dict[int, str]:
-    """Rows of detections that follow another at their receiver sooner than the tag pings, and why.
-
-    The shortest interval is that of the command line, or else of the table of tags.
-    """
-    from maloc.data import prepare
-
-    schedule = options.schedule()
-    shortest, longest = schedule.shortest, 2 * schedule.mean - schedule.shortest
-    table = options.reading.tags()
-    limits = {}
-    for tag in tags:
-        known = (shortest, longest) if shortest > 0 else table and table.limits(tag)
-        if known:
-            limits[tag] = known
-    if not limits:
-        return {}
-    found = prepare(detections, limits=limits)
-    rows = np.flatnonzero(found.too_soon)
-    return dict(zip(rows.tolist(), found.why[rows].tolist(), strict=True))

@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc.runs import output
+from maloc.runs.fit_tag import Fitted
+from maloc.runs.load import Source
+from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions
+from maloc.runs.tags import Done
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.figure import Figure
 
     from maloc.data.receivers import Receivers
-    from maloc.runs.load import Source, TrackOptions
-    from maloc.runs.log import Log
-    from maloc.runs.tags import Done
-    from maloc.runs.track import Fitted
 
 __all__ = [
     "file_name",

@@ -9,16 +9,16 @@ import numpy as np
 
 from maloc.data._time import NS
 from maloc.runs import output
+from maloc.runs.fit_encounters import FittedTags
+from maloc.runs.load_encounters import Encounters
+from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions
 from maloc.runs.write import PNG, map_figure, sampler_health
 
 if TYPE_CHECKING:
     import polars as pl
 
     from maloc.data import Detections, EncounterHistory
-    from maloc.runs.encounters import FittedTags
-    from maloc.runs.load import TrackOptions
-    from maloc.runs.load_encounters import Encounters
-    from maloc.runs.log import Log
 
 __all__ = ["encounters_table", "summary", "write_encounters"]
 

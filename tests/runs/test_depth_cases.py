@@ -14,8 +14,9 @@ from maloc.data import WaterColumn, toa_matrix
 from maloc.errors import InputError
 from maloc.readers import read_detections, read_receivers, read_tags
 from maloc.runs.depth import with_depth
-from maloc.runs.load import Source, TrackOptions
+from maloc.runs.load import Source
 from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions
 from simulations import depth as study
 
 SLOPE, LOWEST = 0.35, -1.5  # m a count, m

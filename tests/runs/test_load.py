@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from maloc.errors import InputError
-from maloc.runs.load import TrackOptions, load
+from maloc.runs.load import load
 from maloc.runs.log import Log
+from maloc.runs.options import TrackOptions
 from maloc.runs.reading import Reading
 
 NS = 1_000_000_000

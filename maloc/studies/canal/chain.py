@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes
     from maloc.points.result import Points
     from maloc.studies.canal.cases import Case
-    from maloc.studies.canal.study import Settings
+    from maloc.studies.canal.settings import Settings
 
 __all__ = ["CHAIN", "FILTERS", "SPEED", "STEPS", "WIDE"]
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes, Schedule
     from maloc.infer.result import Fit
     from maloc.studies.canal.cases import Case
-    from maloc.studies.canal.study import Settings
+    from maloc.studies.canal.settings import Settings
 
 __all__ = ["METHODS", "Located", "check_methods", "timed"]
 

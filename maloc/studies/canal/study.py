@@ -2,59 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc.data.arrivals import Schedule
 from maloc.errors import FitError
 from maloc.evaluate.scores import centre_of, ping_scores, track_scores
-from maloc.simulate.canal import CanalDesign
 from maloc.studies.canal.cases import Address, Case, read_case, simulate_case
 from maloc.studies.canal.methods import check_methods, timed
+from maloc.studies.canal.settings import Settings
 from maloc.studies.jobs import claim, put, run_jobs
 
 if TYPE_CHECKING:
     import polars as pl
 
 __all__ = ["Settings", "case_of", "fit_job", "run_canal"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """What makes a job's result, apart from its case and its method.
-
-    Parameters
-    ----------
-    design : CanalDesign
-        Of simulated cases.
-    seed, draws : int
-        Draws of each of two chains, for samplers.
-    receivers : Path, optional
-        Table of the array; the built-in one, or the folder's own, when not given.
-    folder : Path, optional
-        Files to fit instead of simulated cases.
-    schedule : Schedule
-        What is known of the burst interval in the folder's files.
-    schedules : tuple of (str, Schedule)
-        The same by file's stem, where it differs.
-    """
-
-    design: CanalDesign
-    seed: int = 0
-    draws: int = 1000
-    receivers: Path | None = None
-    folder: Path | None = None
-    schedule: Schedule = dataclasses.field(default_factory=Schedule)
-    schedules: tuple[tuple[str, Schedule], ...] = ()
-
-    def as_text(self) -> str:
-        """JSON, to be compared with that of an earlier run in the same folder."""
-        return json.dumps(dataclasses.asdict(self), indent=1, default=str) + "\n"
 
 
 def case_of(settings: Settings, address: Address) -> Case:

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc.errors import InputError
+from maloc.evaluate.scores import deciles
 from maloc.studies.canal.thesis import TABLE_C1, Thesis
 from maloc.studies.hostetter_royle.tables import Estimate, ratio
 
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["deciles", "mean_of", "read_peer", "report"]
+__all__ = ["mean_of", "read_peer", "report"]
 
 _LOCAL, _CORRECT = 150.0, 2.5  # m: the thesis's local error and correct positions
 _CELL = ("p_na", "p_mp")
@@ -43,13 +44,6 @@ def mean_of(rows: pl.DataFrame, column: str = "error") -> Estimate:
 
     total = rows.group_by("track").agg(pl.col(column).sum(), pl.len()).sort("track")
     return ratio(total[column].to_numpy(), total["len"].to_numpy())
-
-
-def deciles(expected: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Root mean square error over predicted, in ten equal parts by predicted error, (10,)."""
-    order = np.argsort(expected, kind="stable")
-    parts = np.array_split(order, 10)
-    return np.array([np.sqrt(np.mean(error[p] ** 2) / np.mean(expected[p] ** 2)) for p in parts])
 
 
 def report(results: pl.DataFrame, peer: dict[str, float] | None = None, own: bool = True) -> str:
