@@ -10,9 +10,9 @@ from maloc.model_data.encounters import as_encounter_data
 from maloc.models import _parts
 from maloc.world.statespace import SoftBox
 
-__all__ = ["UNITS", "independent"]
+__all__ = ["DIMS", "UNITS", "independent"]
 
-UNITS = {"scale": "m"}
+UNITS, DIMS = {"scale": "m"}, _parts.DIMS
 
 
 def independent(

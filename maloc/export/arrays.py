@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maloc.errors import InputError
+from maloc.errors import needs
 from maloc.export.finished import Finished, dated
 
 __all__ = ["netcdf", "zarr"]
@@ -58,6 +58,6 @@ def zarr(run: Finished, path: Path) -> None:
     """Write the same in Zarr."""
     try:
         import zarr  # noqa: F401
-    except ImportError:
-        raise InputError("zarr needs Zarr", mend="pip install 'maloc[geo]'") from None
+    except ImportError as problem:
+        raise needs("this export", "Zarr", "geo", problem, file=path) from None
     _dataset(run).to_zarr(path, mode="w", consolidated=False)

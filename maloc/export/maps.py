@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from maloc.data._limits import CHI95
-from maloc.errors import InputError
+from maloc.errors import InputError, needs
 from maloc.export.finished import Finished, degrees, ellipse_axes, typed
 
 if TYPE_CHECKING:
@@ -82,9 +82,10 @@ def geoparquet(run: Finished, path: Path) -> None:
     """Points in the run's own frame, which the file names."""
     try:
         import geopandas
-    except ImportError:
-        raise InputError("geoparquet needs GeoPandas", mend="pip install 'maloc[geo]'") from None
-    import pandas as pd
+        import pandas as pd
+        import pyarrow  # noqa: F401
+    except ImportError as problem:
+        raise needs("this export", "GeoPandas and PyArrow", "geo", problem, file=path) from None
 
     table = typed(run.table)
     columns = {c: table[c].to_numpy() for c in table.columns if c != "time"}

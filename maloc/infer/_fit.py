@@ -8,8 +8,9 @@ import numpy as np
 
 from maloc._jax import jnp
 from maloc.data._limits import Z95
+from maloc.data._stages import Stages
+from maloc.infer import _dims
 from maloc.infer._model import ChainModel
-from maloc.infer._stages import Stages
 from maloc.model_data.clock_pings import ClockPings
 from maloc.model_data.encounters import EncounterData
 from maloc.model_data.joint import JointData
@@ -35,6 +36,8 @@ class Fitted:
         Stage -> {"wall", "cpu"} seconds.
     warnings : tuple of str
         What went less than well; empty for a clean fit.
+    source : ArrivalTimes, EncounterHistory, ArrivalHistory or None
+        What was fitted, where it was one of them.
     marginal : MarginalFit
         Of a Laplace fit alone.
     """
@@ -47,6 +50,7 @@ class Fitted:
     ) -> None:
         self.cm, self.args, self.options = cm, args, dict(options)
         self.seconds, self.warnings = seconds, warnings
+        self.source: Any = None  # the container that was fitted, where it was one
         self._known: dict = {}  # what was worked out already
 
     def __repr__(self) -> str:
@@ -135,33 +139,48 @@ class Fitted:
             x, u = self.flat_draws(n, seed)
             values = self.cm.naturals(*_flat_pair(x, u), self.args)
             self._known[key] = {
-                name: self._unpadded(np.asarray(v).reshape(*x.shape[:2], *v.shape[1:]), x.shape[2])
+                name: self._unpadded(name, np.asarray(v).reshape(*x.shape[:2], *v.shape[1:]))
                 for name, v in values.items()
             }
         return self._known[key]
 
-    def _unpadded(self, value: np.ndarray, length: int) -> np.ndarray:
-        if value.ndim > 2 and value.shape[2] == length:
-            return value[:, :, : self.n_states]
-        return value
+    def _unpadded(self, name: str, value: np.ndarray) -> np.ndarray:
+        present = getattr(self.args[0], "present", None) if self.args else None
+        return _dims.cut(self.cm, name, value, self.cm.length(self.args), self.n_states, present)
 
-    def _arrivals(self) -> tuple[dict, dict]:
-        """Log likelihoods (chain, draw, values) of the observed sites, and means of the rest."""
+    def dims(self, name: str) -> tuple[str, ...]:
+        """Dimensions of a site of `draws`, chain and draw aside; time is the first."""
+        return _dims.dims_of(self.cm, name, self.draws()[name].shape[2:], self.n_states)
+
+    @property
+    def parameter_names(self) -> list[str]:
+        """Sites of `draws` that do not run along time."""
+        return [k for k in self.draws() if _dims.along(self.cm) not in self.dims(k)]
+
+    def _arrivals(self) -> tuple[dict, dict, dict]:
+        """Of the observed sites log likelihoods (chain, draw, values), means of the rest, sums.
+
+        Sums (chain, draw, n) are over all axes of a site's value but the first.
+        """
         if "arrivals" not in self._known:
             x, u = self.flat_draws()
             density, means = self.cm.likelihoods(*_flat_pair(x, u), self.args)
-            out = {}
+            out, sums = {}, {}
             for name, value in density.items():
                 if value.ndim == 1:
                     continue  # factors are no data
                 value = np.asarray(value)
                 mask = means[name].get("mask")
+                each = value.reshape(*value.shape[:2], -1)
                 if mask is None:
                     value = value.reshape(len(value), -1)
                 else:
-                    value = value[:, np.broadcast_to(np.asarray(mask) > 0, value.shape[1:])]
+                    on = np.broadcast_to(np.asarray(mask) > 0, value.shape[1:])
+                    each = np.where(on.reshape(each.shape[1:]), each, 0.0)
+                    value = value[:, on]
                 out[name] = value.reshape(*x.shape[:2], -1)
-            self._known["arrivals"] = out, means
+                sums[name] = each.sum(axis=2).reshape(*x.shape[:2], -1)
+            self._known["arrivals"] = out, means, sums
         return self._known["arrivals"]
 
     def pointwise(self) -> dict[str, np.ndarray]:

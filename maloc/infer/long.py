@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maloc._jax import jax
+from maloc.data._stages import Stages
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._slant import put_depth
-from maloc.infer._stages import Stages
 from maloc.infer._stretches import straighten
 from maloc.infer._windows import SIZE, Windows, cut, padded, settled
 from maloc.infer.initial import _column, _middle, _nearest, put_positions, repair

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from maloc.infer import _diagnostics, _export
+from maloc.infer._arviz import as_arviz
 from maloc.infer._fit import Fitted
 from maloc.infer.marginal import MarginalFit
 from maloc.infer.predict import Prediction, TrackDraws, predict, sample_tracks
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["Fit", "LaplaceFit", "SampledFit"]
 
@@ -27,6 +31,8 @@ class Fit(Fitted):
         Stage -> {"wall", "cpu"} seconds.
     warnings : tuple of str
         What went less than well; empty for a clean fit.
+    source : ArrivalTimes, EncounterHistory, ArrivalHistory or None
+        What was fitted, where it was one of them.
     """
 
     def predict(self, times, tag: int = 0) -> Prediction:
@@ -49,13 +55,49 @@ class Fit(Fitted):
         """The parameters as a small text table."""
         return _diagnostics.parameter_text(self.parameters())
 
-    def to_datatree(self):
-        """Posterior as an `xarray.DataTree` (what ``posterior.nc`` holds)."""
-        return _export.to_datatree(self)
+    def to_datatree(
+        self,
+        *,
+        log_likelihood: str = "ping",
+        predictive: bool = False,
+        log_prior: bool = False,
+        seed: int = 0,
+    ) -> xr.DataTree:
+        """Posterior as an `xarray.DataTree` (what ``posterior.nc`` holds).
 
-    def to_inference_data(self):
-        """Posterior as ArviZ InferenceData."""
-        return _export.to_inference_data(self)
+        Parameters
+        ----------
+        log_likelihood : {"ping", "value"}
+            One array, an entry a ping (what ``az.loo`` takes as it is), or one for each kind of
+            data, an entry a value, as ``az.loo_pit`` wants it.
+        predictive : bool
+            Add ``posterior_predictive``: data replicated at every draw.
+        log_prior : bool
+            Add ``log_prior``: log density of each latent site at every draw.
+        seed : int
+            Of the replicated data.
+
+        Returns
+        -------
+        xarray.DataTree
+            Groups posterior (parameters first), log_likelihood, sample_stats, observed_data,
+            constant_data; unheard (rows of track.csv that are predictions), and what
+            `maloc.predict` needs. The dimension ``ping`` has coordinates ping (id in the input),
+            time, heard, row (in track.csv, from 0) and ping_tag; axis is x, y; receiver has names;
+            units are attributes. See docs/posterior.md.
+        """
+        how = {"log_likelihood": log_likelihood, "predictive": predictive}
+        return _export.to_datatree(self, **how, log_prior=log_prior, seed=seed)
+
+    def to_inference_data(self, **how: Any):
+        """Posterior as the installed ArviZ has it; parameters as for `to_datatree`.
+
+        Returns
+        -------
+        arviz.InferenceData or xarray.DataTree
+            Of ArviZ 0.x an InferenceData; ArviZ 1.x works on the DataTree. The same groups.
+        """
+        return as_arviz(self.to_datatree(**how))
 
 
 class LaplaceFit(Fit):

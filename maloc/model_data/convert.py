@@ -9,7 +9,9 @@ from maloc.data.encounters import EncounterHistory
 from maloc.data.joint_history import ArrivalHistory
 from maloc.model_data import encounters, joint, toa
 
-__all__ = ["to_model_data"]
+__all__ = ["CONTAINERS", "to_model_data"]
+
+CONTAINERS = ArrivalTimes, EncounterHistory, ArrivalHistory
 
 
 def to_model_data(data: Any, pad: bool = True) -> Any:

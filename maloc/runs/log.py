@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
+from maloc.data._stages import Stages
 from maloc.errors import MalocWarning
-from maloc.infer._stages import Stages
 
 __all__ = ["Log"]
 

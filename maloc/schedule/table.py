@@ -10,6 +10,12 @@ import numpy as np
 from maloc.errors import InputError
 from maloc.schedule.sums import log_uniform_sum
 
+__all__ = [
+    "Table",
+    "checked_expiry",
+    "log_normal",
+]
+
 _GAUSS = np.polynomial.legendre.leggauss(12)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import maloc
+from maloc.data._stages import Stages
 from maloc.infer import _windows, long
 from maloc.infer._model import chain_model
-from maloc.infer._stages import Stages
 from maloc.infer.mode import find_mode
 from maloc.model_data import to_model_data
 from maloc.simulate import canal_toa

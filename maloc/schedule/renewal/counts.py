@@ -13,6 +13,15 @@ import numpy as np
 
 from maloc._jax import jax, jnp
 
+__all__ = [
+    "CountPart",
+    "counts",
+    "log_likelihood",
+    "log_pmf",
+    "path_weights",
+    "terms",
+]
+
 _NONE = -1e30  # log of a count's density where the law rules it out
 _GAUSS = np.polynomial.legendre.leggauss(48)
 _REACH = 7.0  # sds of the sum of the intervals

@@ -20,6 +20,10 @@ from maloc.schedule.renewal.long import ENDS, LongPart
 from maloc.schedule.renewal.pack import exact_part
 from maloc.schedule.renewal.poisson import PoissonPart, missed_until
 
+__all__ = [
+    "draw_part",
+]
+
 _STRATA = 128
 _TABLE = 2049  # points of an inverse distribution function
 

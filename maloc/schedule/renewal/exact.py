@@ -8,6 +8,15 @@ import numpy as np
 
 from maloc._jax import jax, jnp
 
+__all__ = [
+    "ExactPart",
+    "LEAST_LOG_Q",
+    "at_knots",
+    "log_likelihood",
+    "log_pmf",
+    "q_on_grid",
+]
+
 LEAST_LOG_Q = -40.0  # a ping missed with a chance below e^-40: no digit of any answer
 _MOST = 600.0  # largest exponent; by then the first interval has nothing to add
 

@@ -11,6 +11,20 @@ from maloc.schedule.intervals import IntervalLaw, Stable, Table
 from maloc.schedule.renewal.grid import Grid, grid_of
 from maloc.schedule.renewal.long import ENDS
 
+__all__ = [
+    "Gap",
+    "KINDS",
+    "adiabatic",
+    "away",
+    "end_of",
+    "gap_nodes",
+    "is_long",
+    "is_narrow",
+    "kind_code",
+    "knots",
+    "needed",
+]
+
 KINDS = ("inside", "before", "after")
 _NARROW = 0.06  # sd / mean below which counts are summed
 _LONG, _PHASE = 10.0, 0.36

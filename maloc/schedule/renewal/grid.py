@@ -17,6 +17,14 @@ import numpy as np
 
 from maloc.schedule.intervals import Table
 
+__all__ = [
+    "Grid",
+    "end_rows",
+    "first_size",
+    "grid_of",
+    "recursion",
+]
+
 _GAUSS = np.polynomial.legendre.leggauss(5)
 
 

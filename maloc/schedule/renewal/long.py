@@ -18,6 +18,14 @@ from scipy.interpolate import CubicSpline
 
 from maloc._jax import jax, jnp
 
+__all__ = [
+    "ENDS",
+    "LongPart",
+    "log_likelihood",
+    "log_pmf",
+    "splines",
+]
+
 _LOG_Q = np.linspace(-40.0, 0.5, 811)
 _GAUSS = np.polynomial.legendre.leggauss(12)
 ENDS = (("inside", False), ("after", False), ("before", False), ("before", True))

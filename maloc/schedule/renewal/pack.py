@@ -22,6 +22,13 @@ from maloc.schedule.renewal.grid import Grid, end_rows, first_size, grid_of, rec
 from maloc.schedule.renewal.long import ENDS, LongPart, splines
 from maloc.schedule.renewal.poisson import PoissonPart
 
+__all__ = [
+    "FLOOR",
+    "batch_size",
+    "exact_part",
+    "parts_of",
+]
+
 FLOOR = 1e-6  # likelihood, per mean interval, of a gap that the law rules out
 _CLASSES = (4, 16)  # blocks of the batches that are always there
 

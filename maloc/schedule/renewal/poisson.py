@@ -13,6 +13,13 @@ import numpy as np
 
 from maloc._jax import jax, jnp
 
+__all__ = [
+    "PoissonPart",
+    "log_likelihood",
+    "log_pmf",
+    "missed_until",
+]
+
 
 @dataclass(frozen=True)
 class PoissonPart:
