@@ -75,15 +75,23 @@ html_theme_options = {
     "footer_end": [],
 }
 
+# What stands beside ``docs``: where pages look for it, and where the site has it.
 _BESIDE = {
     "](../notebooks/": "](/_generated/notebooks/",
-    "](../CONTRIBUTING.md": "](contributing.md",
+    "](../CONTRIBUTING.md": "](/_generated/contributing.md",
 }
+_ROOT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changes.md"}
 
 
 def _gather(app, config) -> None:
-    """Write the reference's pages and bring in the notebooks, which stand beside ``docs``."""
+    """Write the reference's pages; bring in the notebooks and pages that stand beside ``docs``."""
     made = HERE / "_generated"
+    for name, page in _ROOT.items():
+        text = (HERE.parent / name).read_text(encoding="utf-8").replace("](docs/", "](/")
+        for other, there in _ROOT.items():
+            text = text.replace(f"]({other}", f"]({there}")
+        made.mkdir(exist_ok=True)
+        (made / page).write_text(text.replace("](/gallery)", "](/gallery.md)"), encoding="utf-8")
     write_reference.write(made / "reference")
     (made / "notebooks").mkdir(parents=True, exist_ok=True)
     for notebook in (HERE.parent / "notebooks").glob("*.ipynb"):

@@ -52,6 +52,15 @@ def explained(command: Callable) -> Callable:
             raise typer.Exit(fail(problem, BAD_INPUT)) from None
         except FitError as problem:
             raise typer.Exit(fail(problem, FAILED_FIT)) from None
+        except typer.Exit:
+            raise
+        except Exception as problem:
+            from maloc._supported import outside
+
+            if not (line := outside()):
+                raise
+            reason = f"{type(problem).__name__}: {problem}"
+            raise typer.Exit(fail(f"{line}, and failed: {reason}", FAILED_FIT)) from None
         except KeyboardInterrupt:
             raise typer.Exit(fail("interrupted", INTERRUPTED)) from None
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from maloc._export_run import Finished, dated
-from maloc.errors import InputError
+from maloc._optional import needs
 
 __all__ = ["netcdf", "zarr"]
 
@@ -56,6 +56,6 @@ def netcdf(run: Finished, path: Path) -> None:
 def zarr(run: Finished, path: Path) -> None:
     try:
         import zarr  # noqa: F401
-    except ImportError:
-        raise InputError("zarr needs Zarr", mend="pip install 'maloc[geo]'") from None
+    except ImportError as problem:
+        raise needs("this export", "Zarr", "geo", problem, file=path) from None
     _dataset(run).to_zarr(path, mode="w", consolidated=False)

@@ -11,6 +11,7 @@ import numpy as np
 
 from maloc._export_run import Finished, degrees, ellipse_axes, typed
 from maloc._limits import CHI95
+from maloc._optional import needs
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,9 +83,10 @@ def geoparquet(run: Finished, path: Path) -> None:
     """Points in the run's own frame, which the file names."""
     try:
         import geopandas
-    except ImportError:
-        raise InputError("geoparquet needs GeoPandas", mend="pip install 'maloc[geo]'") from None
-    import pandas as pd
+        import pandas as pd
+        import pyarrow  # noqa: F401
+    except ImportError as problem:
+        raise needs("this export", "GeoPandas and PyArrow", "geo", problem, file=path) from None
 
     table = typed(run.table)
     columns = {c: table[c].to_numpy() for c in table.columns if c != "time"}

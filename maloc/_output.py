@@ -50,6 +50,7 @@ TRACK = (
     "y_hi",
     "n_receivers",
     "heard",
+    "ping",
 )
 ARRIVALS = ("ping", "receiver", "residual", "p_direct", "used", "why", "tag", "t", "detection")
 PARAMETERS = (

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from maloc._optional import needs
 from maloc._threads import one_thread
 from maloc.errors import FitError, InputError
 
@@ -185,10 +186,9 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
     """Dask client of a scheduler's address, or of processes on this machine."""
     try:
         from distributed import Client, LocalCluster
-    except ImportError:
-        raise InputError(
-            "parallel tags need Dask", mend="pip install 'maloc[parallel]', or leave --workers out"
-        ) from None
+    except ImportError as problem:
+        without = {"otherwise": "leave --workers and --scheduler out"}
+        raise needs("--workers", "Dask", "parallel", problem, **without) from None
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=30)

@@ -118,13 +118,25 @@ def _read(file: Path) -> list[StoredTrack]:
             file=file,
             mend="run maloc track again with this version",
         ) from None
+    among = law["ping"].values.astype(bool) if "ping" in law else np.ones(law.sizes["state"], bool)
+    between = None if among.all() else group("between")
+
+    def draws(name: str) -> np.ndarray:
+        """Draws (D, S, ...) of a site at all states: those of pings, and those between them."""
+        at_pings = _flat(posterior[name].values)
+        if between is None:
+            return at_pings
+        out = np.empty((len(at_pings), len(among), *at_pings.shape[2:]))
+        out[:, among], out[:, ~among] = at_pings, _flat(between[name].values)
+        return out
+
     kind = getattr(movement, law.attrs["law"])
-    track = _flat(posterior[law.attrs["path"]].values)
+    track = draws(law.attrs["path"])
     state = track.reshape(*track.shape[:2], -1, track.shape[-1])
     told = law["told"].values.astype(bool)
     clock = np.broadcast_to(_time(law["time"]), track.shape[:2])
     if told.any():
-        clock = np.where(told, _flat(posterior["emission_time"].values), clock)
+        clock = np.where(told, draws("emission_time"), clock)
     water, deep = _stored_water(file), _stored_depth(file)
     names = np.atleast_1d(about.get("tags", [""])).tolist()
     origin = int(about["origin"]) if "origin" in about else None
@@ -138,7 +150,7 @@ def _read(file: Path) -> list[StoredTrack]:
         if deep is not None:
             path = None
             if "depth_path" in posterior:
-                z = _flat(posterior["depth_path"].values)[:, mine, None]
+                z = draws("depth_path")[:, mine, None]
                 how = {n: _flat(law[f"depth_{n}"].values)[:, k] for n in DepthPath.scale_names}
                 centre = _flat(law["depth_centre"].values)[:, k]
                 path = PathDraws(movement.OU, how, own, z, centre)

@@ -19,6 +19,7 @@ from maloc.movement import CTCRW, OU, Brownian
 from maloc.statespace import SoftBox
 
 __all__ = [
+    "DIMS",
     "UNITS",
     "Heard",
     "MissedPings",
@@ -32,7 +33,13 @@ __all__ = [
 ]
 
 UNITS = {"scale": "m", "sigma_step": "m/s^.5", "sigma_vel": "m/s", "t05": "s"}
-UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s"}
+UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s", "range_memory": "s"}
+DIMS = {"position": ("ping", "axis"), "log_q": ("ping",), "receiver_effect": ("receiver",)}
+DIMS |= {"coefficient": ("covariate",)}
+DIMS |= dict.fromkeys(("home", "home_offset"), ("tag", "axis"))
+DIMS |= dict.fromkeys(
+    [f"{k}_tag" for k in ("sigma_step", "sigma_vel", "t05", "home_sd", "home_t05")], ("tag",)
+)
 MOVEMENT = ("rw", "ctcrw", "ou")
 
 
@@ -179,7 +186,7 @@ class MissedPings(dist.Distribution):
     the same gradient, and one state a term).
     """
 
-    local = True
+    local = summed_out = True
     arg_constraints: Any = {}
     support: Any = dist.constraints.real
     pytree_data_fields = ("gaps", "log_q", "log_density")

@@ -12,10 +12,13 @@ from maloc.arrival import DDetect, Gaussian
 from maloc.data.clock_pings import as_clock_pings
 from maloc.models import _clock, _toa
 
-__all__ = ["UNITS", "clock_sync"]
+__all__ = ["ALONG", "DIMS", "UNITS", "clock_sync"]
 
 UNITS = {"clock_noise": "ms/h^1.5", "sigma": "ms", "delay": "ms", "jump": "ms", "shift": "m"}
 UNITS |= {"sound_speed": "m/s"}
+ALONG = "knot"
+DIMS = {"offset": ("knot", "clock"), "delay": ("receiver",), "shift": ("receiver", "axis")}
+DIMS |= {"jump": ("jump_dim",), "constants": ("constant",)}
 _LATEST = 300.0  # ms; largest lateness of a reflection
 
 

@@ -10,9 +10,9 @@ from maloc.detection import squared_distance
 from maloc.models import _parts
 from maloc.statespace import SoftBox
 
-__all__ = ["UNITS", "independent"]
+__all__ = ["DIMS", "UNITS", "independent"]
 
-UNITS = {"scale": "m"}
+UNITS, DIMS = {"scale": "m"}, _parts.DIMS
 
 
 def independent(

@@ -10,10 +10,10 @@ from maloc.data.joint_history import as_history
 from maloc.detection import KINDS, squared_distance
 from maloc.models import _depth, _parts, _toa
 
-__all__ = ["UNITS", "joint"]
+__all__ = ["DIMS", "UNITS", "joint"]
 
 UNITS = _parts.UNITS | _toa.UNITS | _depth.UNITS | {"interval_drift": "ms", "interval": "ms"}
-UNITS |= {"range_memory": "s", "sound_speed_memory": "s"}
+DIMS = _parts.DIMS | _toa.DIMS | _depth.DIMS
 
 
 def joint(

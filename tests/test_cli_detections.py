@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import arviz as az
 import numpy as np
 import polars as pl
 import pytest
 from typer.testing import CliRunner
 
+import maloc.infer
 from maloc.cli import app
+from maloc.predict import read_tracks
 
 START = 1_622_548_800 * 10**9
 XY = np.array([[x, y] for x in (0.0, 200.0, 400.0, 600.0) for y in (0.0, 200.0)])
@@ -68,6 +71,39 @@ def test_every_promised_file_is_there(run):
     assert summary["model"] == "unknown_interval"
     assert any("whole seconds: enough" in text for text in summary["notices"])
     assert set(summary["tags"]) == {"A69-1-11", "A69-1-12"}
+
+
+@pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto:UserWarning")
+def test_the_posterior_holds_pings_and_their_rows(run):
+    """States inside gaps stand apart; each ping's mean is its row's, and LOO is by ping."""
+    out, truth, _ = run
+    table = pl.read_csv(out / "track.csv")
+    data = maloc.infer.read_posterior(out / "posterior.nc")
+    tree = data.to_datatree() if hasattr(data, "to_datatree") else data
+    posterior, unheard = tree["posterior"].to_dataset(), tree["unheard"].to_dataset()
+    heard = {tag: int(known["heard"].any(axis=1).sum()) for tag, known in truth.items()}
+    assert posterior.sizes["ping"] == sum(heard.values()) == table["heard"].sum()
+    assert tree["between"].sizes["state"] > 0
+    assert sorted([*posterior["row"].values, *unheard["unheard"].values]) == [*range(len(table))]
+    rows = table[posterior["row"].values.tolist()]
+    mean = posterior["position"].mean(("chain", "draw")).sel(axis="x").values
+    sd = rows["sd_x"].to_numpy()
+    assert (np.abs(mean - rows["x"].to_numpy()) < 5 * sd / np.sqrt(posterior.sizes["draw"])).all()
+    assert rows["tag"].to_list() == posterior["ping_tag"].values.tolist()
+    assert rows["ping"].to_list() == posterior["number"].values.tolist()
+    seconds = posterior["time"].values.astype("datetime64[ns]").astype(np.int64) / 1e9
+    np.testing.assert_allclose(seconds, rows["t"], atol=1e-5)
+    missed = table[unheard["unheard"].values.tolist()]
+    assert not missed["heard"].any() and missed["ping"].null_count() == len(missed)
+    np.testing.assert_allclose(unheard["position"].sel(axis="y"), missed["y"], atol=1e-3)
+    assert az.loo(data).n_data_points == len(rows)
+    for track_of_tag in read_tracks(out):
+        mine = posterior["ping_tag"].values == track_of_tag.tag
+        wanted, path = posterior["track"].values[0][:, mine], track_of_tag.path.state[:, :, 0]
+        assert path.shape[1] > mine.sum()  # with the states between
+        assert all(
+            (path == at[:, None]).all(axis=2).any(axis=1).all() for at in wanted.swapaxes(0, 1)
+        )
 
 
 def test_heard_pings_are_placed_within_their_uncertainty(run):

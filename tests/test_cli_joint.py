@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import arviz as az
 import numpy as np
 import polars as pl
 import pytest
 from typer.testing import CliRunner
 
+import maloc.infer
 from maloc.cli import app
 
 XY = np.array([[x, y] for x in (0.0, 60.0, 120.0) for y in (0.0, 60.0)])
@@ -74,6 +76,19 @@ def test_missed_pings_of_a_sequence_are_rows_at_their_own_times(sequence):
     quiet = ~table["heard"].to_numpy()
     assert quiet.sum() >= 3
     assert (table["sd_x"].to_numpy()[quiet] > np.median(table["sd_x"])).all()
+
+
+@pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto:UserWarning")
+def test_leave_one_out_is_by_ping(sequence):
+    """Arrivals and who heard them make one number a ping, unheard pings of the sequence too."""
+    table = pl.read_csv(sequence[0] / "track.csv")
+    data = maloc.infer.read_posterior(sequence[0] / "posterior.nc")
+    assert az.loo(data).n_data_points == len(table) == data["posterior"].sizes["ping"]
+    np.testing.assert_array_equal(data["posterior"]["heard"], table["heard"])
+    assert data["posterior"]["row"].values.tolist() == list(range(len(table)))
+    density = data["log_likelihood"]["by_ping"].mean(("chain", "draw")).values
+    quiet = ~table["heard"].to_numpy()
+    assert (density[quiet] < 0).all() and np.isfinite(density).all()
 
 
 def test_arrivals_have_residuals(sequence):

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from maloc._optional import needs
 from maloc.errors import InputError
 
 __all__ = ["SUFFIXES", "Raster", "outlines", "read_raster"]
@@ -60,7 +61,5 @@ def outlines(raster: Raster, file: str | Path) -> list[list[np.ndarray]]:
 def _rasterio(file: str | Path) -> Any:
     try:
         return import_module("rasterio")
-    except ImportError:
-        raise InputError(
-            "is a raster, which needs rasterio", file=file, mend="pip install 'maloc[terrain]'"
-        ) from None
+    except ImportError as problem:
+        raise needs("a raster", "rasterio", "terrain", problem, file=file) from None

@@ -100,12 +100,10 @@ def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
     """Rows of parameters.csv."""
     units = getattr(inspect.getmodule(fit.cm.model), "UNITS", {})
     draws = fit.draws()
-    path = {s.name for s in fit.cm.chain}
     sampled = fit.method in ("nuts", "hmc")
     rows = []
-    for name, value in draws.items():
-        if name in path or (value.ndim > 2 and value.shape[2] == fit.n_states):
-            continue
+    for name in fit.parameter_names:
+        value = draws[name]
         flat = value.reshape(*value.shape[:2], -1)
         for i in range(flat.shape[2]):
             v = flat[:, :, i]

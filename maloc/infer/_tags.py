@@ -50,6 +50,7 @@ class Tags:
                     extra = (self.prior,) if self.names else ()
                     how = {"draws": self.n, "seed": self.seed, **self.options}
                     fit = laplace(self.model, data, *extra, *self.args, **how)
+                    fit.source = toa
                 except FitError as problem:
                     self.failed[toa.tag] = str(problem)
                 else:

@@ -73,9 +73,14 @@ def laplace(
     Softw. 70(5), for the marginal likelihood of the parameters.
     """
     require_x64()
+    if not callable(model):
+        raise TypeError(
+            f"laplace(model, data, ...) takes the model first, got a {type(model).__name__}"
+        )
     stages = Stages()
     with stages.time("prepare"):
         args = tuple(map(getattr(model, "reads", _same), args[:1])) + args[1:]
+        source = args[0] if args and hasattr(args[0], "to_model_data") else None
         flat = flat_warning(args[0]) if args else None
         args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
         cm = chain_model(model, options, args, path)
@@ -96,7 +101,9 @@ def laplace(
     if not fit.converged:
         warnings.append("the parameters' optimum was not reached: treat widths with care")
     kind = LaplaceFit if whole is None else LongFit
-    return kind(cm, args, options, stages, tuple(warnings), fit, draws, seed)
+    found = kind(cm, args, options, stages, tuple(warnings), fit, draws, seed)
+    found.source = source
+    return found
 
 
 def _same(x):

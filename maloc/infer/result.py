@@ -14,11 +14,13 @@ from maloc.data.encounter_data import EncounterData
 from maloc.data.joint_data import JointData
 from maloc.data.model_data import ToaData
 from maloc.habitat import Water
-from maloc.infer import _diagnostics
+from maloc.infer import _diagnostics, _dims
 from maloc.infer._model import ChainModel
 from maloc.infer.marginal import MarginalFit
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from maloc.infer.predict import Prediction, TrackDraws
 
 __all__ = ["Fit", "LaplaceFit", "SampledFit"]
@@ -37,6 +39,8 @@ class Fit:
         Stage -> {"wall", "cpu"} seconds.
     warnings : tuple of str
         What went less than well; empty for a clean fit.
+    source : ArrivalTimes, EncounterHistory, ArrivalHistory or None
+        What was fitted, where it was one of them.
     """
 
     method = ""
@@ -46,6 +50,7 @@ class Fit:
     ) -> None:
         self.cm, self.args, self.options = cm, args, dict(options)
         self.seconds, self.warnings = seconds, warnings
+        self.source: Any = None  # the container that was fitted, where it was one
         self._known: dict = {}  # what was worked out already
 
     def __repr__(self) -> str:
@@ -134,7 +139,7 @@ class Fit:
             x, u = self.flat_draws(n, seed)
             values = self.cm.naturals(*_flat_pair(x, u), self.args)
             self._known[key] = {
-                name: self._unpadded(np.asarray(v).reshape(*x.shape[:2], *v.shape[1:]), x.shape[2])
+                name: self._unpadded(name, np.asarray(v).reshape(*x.shape[:2], *v.shape[1:]))
                 for name, v in values.items()
             }
         return self._known[key]
@@ -153,28 +158,43 @@ class Fit:
 
         return sample_tracks(self, times, tag, n=n, seed=seed, **known)
 
-    def _unpadded(self, value: np.ndarray, length: int) -> np.ndarray:
-        if value.ndim > 2 and value.shape[2] == length:
-            return value[:, :, : self.n_states]
-        return value
+    def _unpadded(self, name: str, value: np.ndarray) -> np.ndarray:
+        present = getattr(self.args[0], "present", None) if self.args else None
+        return _dims.cut(self.cm, name, value, self.cm.length(self.args), self.n_states, present)
 
-    def _arrivals(self) -> tuple[dict, dict]:
-        """Log likelihoods (chain, draw, values) of the observed sites, and means of the rest."""
+    def dims(self, name: str) -> tuple[str, ...]:
+        """Dimensions of a site of `draws`, chain and draw aside; time is the first."""
+        return _dims.dims_of(self.cm, name, self.draws()[name].shape[2:], self.n_states)
+
+    @property
+    def parameter_names(self) -> list[str]:
+        """Sites of `draws` that do not run along time."""
+        return [k for k in self.draws() if _dims.along(self.cm) not in self.dims(k)]
+
+    def _arrivals(self) -> tuple[dict, dict, dict]:
+        """Of the observed sites log likelihoods (chain, draw, values), means of the rest, sums.
+
+        Sums (chain, draw, n) are over all axes of a site's value but the first.
+        """
         if "arrivals" not in self._known:
             x, u = self.flat_draws()
             density, means = self.cm.likelihoods(*_flat_pair(x, u), self.args)
-            out = {}
+            out, sums = {}, {}
             for name, value in density.items():
                 if value.ndim == 1:
                     continue  # factors are no data
                 value = np.asarray(value)
                 mask = means[name].get("mask")
+                each = value.reshape(*value.shape[:2], -1)
                 if mask is None:
                     value = value.reshape(len(value), -1)
                 else:
-                    value = value[:, np.broadcast_to(np.asarray(mask) > 0, value.shape[1:])]
+                    on = np.broadcast_to(np.asarray(mask) > 0, value.shape[1:])
+                    each = np.where(on.reshape(each.shape[1:]), each, 0.0)
+                    value = value[:, on]
                 out[name] = value.reshape(*x.shape[:2], -1)
-            self._known["arrivals"] = out, means
+                sums[name] = each.sum(axis=2).reshape(*x.shape[:2], -1)
+            self._known["arrivals"] = out, means, sums
         return self._known["arrivals"]
 
     def pointwise(self) -> dict[str, np.ndarray]:
@@ -212,17 +232,53 @@ class Fit:
         """The parameters as a small text table."""
         return _diagnostics.parameter_text(self)
 
-    def to_datatree(self):
-        """Posterior as an `xarray.DataTree` (what ``posterior.nc`` holds)."""
+    def to_datatree(
+        self,
+        *,
+        log_likelihood: str = "ping",
+        predictive: bool = False,
+        log_prior: bool = False,
+        seed: int = 0,
+    ) -> xr.DataTree:
+        """Posterior as an `xarray.DataTree` (what ``posterior.nc`` holds).
+
+        Parameters
+        ----------
+        log_likelihood : {"ping", "value"}
+            One array, an entry a ping (what ``az.loo`` takes as it is), or one for each kind of
+            data, an entry a value, as ``az.loo_pit`` wants it.
+        predictive : bool
+            Add ``posterior_predictive``: data replicated at every draw.
+        log_prior : bool
+            Add ``log_prior``: log density of each latent site at every draw.
+        seed : int
+            Of the replicated data.
+
+        Returns
+        -------
+        xarray.DataTree
+            Groups posterior (parameters first), log_likelihood, sample_stats, observed_data,
+            constant_data; unheard (rows of track.csv that are predictions), and what
+            `maloc.predict` needs. The dimension ``ping`` has coordinates ping (id in the input),
+            time, heard, row (in track.csv, from 0) and ping_tag; axis is x, y; receiver has names;
+            units are attributes. See docs/posterior.md.
+        """
         from maloc.infer import _export
 
-        return _export.to_datatree(self)
+        how = {"log_likelihood": log_likelihood, "predictive": predictive}
+        return _export.to_datatree(self, **how, log_prior=log_prior, seed=seed)
 
-    def to_inference_data(self):
-        """Posterior as ArviZ InferenceData."""
-        from maloc.infer import _export
+    def to_inference_data(self, **how: Any):
+        """Posterior as the installed ArviZ has it; parameters as for `to_datatree`.
 
-        return _export.to_inference_data(self)
+        Returns
+        -------
+        arviz.InferenceData or xarray.DataTree
+            Of ArviZ 0.x an InferenceData; ArviZ 1.x works on the DataTree. The same groups.
+        """
+        from maloc.infer._arviz import as_arviz
+
+        return as_arviz(self.to_datatree(**how))
 
 
 def _flat_pair(x: np.ndarray, u: np.ndarray):

@@ -450,7 +450,10 @@ def test_the_same_data_in_whole_seconds_gives_way(tmp_path):
 
 def test_the_same_data_on_another_clock_is_refused(tmp_path):
     raw = stamps(30)
-    shifted = [str(np.datetime64(t, "ms") + 2400 + i).replace("T", " ") for i, t in enumerate(raw)]
+    shifted = [
+        str(np.datetime64(t, "ms") + np.timedelta64(2400 + i, "ms")).replace("T", " ")
+        for i, t in enumerate(raw)
+    ]
     for name, times in (("raw.csv", raw), ("corrected.csv", shifted)):
         (tmp_path / name).write_text("\n".join([VUE, *rows(times)]) + "\n")
     with pytest.raises(InputError, match="corrected.csv: holds.*about 2.4. s apart"):

@@ -195,7 +195,7 @@ PAGES = {
     "docs/emitters.md": _emitters,
     "docs/points.md": _fit,
     "docs/presence.md": _presence,
-    "docs/read_posterior.md": _run,
+    "docs/posterior.md": _run,
     "docs/sync.md": _sync,
     "docs/tags.md": _tags,
 }

@@ -161,7 +161,7 @@ def test_synopses_name_options_that_exist(page):
 def test_r_is_marked_and_names_columns_that_exist(page, tmp_path):
     """R is not run: the page says so, and each column named is in the table that is read."""
     text = (pages.ROOT / page).read_text(encoding="utf-8").splitlines()
-    tables = {"docs/read_posterior.md": _track_columns, "docs/after.md": _crawl_columns}
+    tables = {"docs/posterior.md": _track_columns, "docs/after.md": _crawl_columns}
     known = tables[page](tmp_path)
     for block in pages.blocks(page):
         if block.language == "r":

@@ -33,7 +33,7 @@ def vps_sheet(table: Table) -> Table:
     shared = [c for c in ("name", "latitude", "longitude", "start_time", "end_time") if c in at]
     cells = list(table.cells)
     for c in shared:
-        cells[at[c]] = table.text(at[c]).forward_fill().fill_null("")
+        cells[at[c]] = table.text(at[c]).fill_null(strategy="forward").fill_null("")
     device = table.text(at["device"]).fill_null("")
     is_tag = device.str.contains(r"^A\d+-\d+-\d+$")
     tags = dict(zip(cells[at["name"]].filter(is_tag), device.filter(is_tag), strict=True))

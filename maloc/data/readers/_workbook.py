@@ -6,6 +6,7 @@ import csv
 import io
 from datetime import datetime, time
 
+from maloc._optional import needs
 from maloc.errors import InputError
 
 __all__ = ["sheets"]
@@ -21,12 +22,9 @@ def sheets(name: str, data: bytes) -> list[tuple[str, bytes]]:
     """
     try:
         from openpyxl import load_workbook
-    except ImportError:
-        raise InputError(
-            "an Excel workbook, not a table",
-            file=name,
-            mend="save the sheet as CSV, or install maloc[excel]",
-        ) from None
+    except ImportError as problem:
+        without = {"file": name, "otherwise": "save the sheet as CSV"}
+        raise needs("an Excel workbook", "openpyxl", "excel", problem, **without) from None
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         out = [(f"{name}/{sheet.title}", _csv(sheet.iter_rows(values_only=True))) for sheet in book]
