@@ -181,3 +181,13 @@ def test_constraints_are_exact_versions(root_dir: Path):
     wanted = [*project["dependencies"], *(w for extra in extras for w in extra)]
     asked = {re.sub(r"[._-]+", "-", re.split(r"[>=<\[; ]", w)[0]).lower() for w in wanted}
     assert asked - {"maloc"} <= set(names)
+
+
+def test_readme_states_the_numbers_that_were_measured(root_dir):
+    """Its table is the one that benchmarks.readme makes of docs/readme_numbers.csv."""
+    from benchmarks import readme
+
+    page = (root_dir / "README.md").read_text()
+    stated = page.split(readme.BEGIN)[1].split(readme.END)[0]
+    assert stated == readme.table(readme.read_numbers())
+    assert "3.32 m" not in page
