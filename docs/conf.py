@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from functools import partialmethod
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -13,6 +14,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("MALOC_CACHE_DIR", str(HERE.parent / ".cache" / "jax"))
 
 import write_reference  # noqa: E402
+from nbclient import NotebookClient  # noqa: E402
 
 import maloc  # noqa: E402
 
@@ -42,6 +44,9 @@ nb_execution_in_temp = True
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+# What a shell prints comes in pieces of a hundred characters; joined as they are, not line by line.
+NotebookClient.__init__ = partialmethod(NotebookClient.__init__, coalesce_streams=True)
+os.environ.setdefault("PYTHONWARNINGS", "ignore:IProgress not found")
 
 # Reference: one page a module, written by write_reference from __all__.
 default_role = "literal"

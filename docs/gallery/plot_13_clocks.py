@@ -9,4 +9,4 @@ import small_study
 
 import maloc
 
-maloc.plots.clocks(small_study.clocks())
+maloc.plots.clocks(small_study.long_clocks())

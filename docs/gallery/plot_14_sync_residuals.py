@@ -9,4 +9,4 @@ import small_study
 
 import maloc
 
-maloc.plots.sync_residuals(small_study.clocks())
+maloc.plots.sync_residuals(small_study.long_clocks())

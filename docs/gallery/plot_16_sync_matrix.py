@@ -10,6 +10,6 @@ import small_study
 
 import maloc
 
-study = small_study.study()
+study = small_study.long_study()
 found = maloc.sync.connectivity(study.detections, study.receivers)
 maloc.plots.sync_matrix(found, maloc.sync.find_sync_order(found))

@@ -11,8 +11,8 @@ import small_study
 
 import maloc
 
-common = small_study.clocks().apply(small_study.study().detections)
-table = maloc.sync.latency(common, small_study.study().receivers)
+common = small_study.long_clocks().apply(small_study.long_study().detections)
+table = maloc.sync.latency(common, small_study.long_study().receivers)
 _, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
 maloc.plots.sync_latency(table, kind="error", ax=left)
 maloc.plots.sync_latency(table, kind="error", histogram=True, ax=right)

@@ -22,6 +22,19 @@ def clocks():
 
 
 @cache
+def long_study():
+    """The same array for six hours: clocks have time to drift."""
+    slow = maloc.Schedule("random", 300.0, 420.0)
+    return simulate(np.random.default_rng(2), "canal", n_pings=60, schedule=slow, drift_ppm=20.0)
+
+
+@cache
+def long_clocks():
+    """Return the clocks of those six hours."""
+    return maloc.sync.fit(long_study().detections, long_study().receivers)
+
+
+@cache
 def arrivals():
     """Return the animal's arrival times on one clock, pings that nobody heard left out."""
     detections = clocks().apply(study().detections)
