@@ -10,7 +10,7 @@ __all__ = ["SUPPORTED", "outside", "warn_outside"]
 
 # Lower bounds are pyproject.toml's. Above the upper ones nothing has been run: they
 # are no bounds of the package, which would keep users from newer releases that may do no harm.
-SUPPORTED = {"jax": ">=0.4.35,<0.13", "numpyro": ">=0.16,<0.23", "arviz": ">=0.20,<2"}
+SUPPORTED = {"jax": ">=0.4.35,<0.13", "numpyro": ">=0.16,<0.23", "arviz": ">=0.21,<2"}
 
 
 def outside() -> str:
