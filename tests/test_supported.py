@@ -12,7 +12,7 @@ import pytest
 import typer
 from packaging.specifiers import SpecifierSet
 
-from maloc._version import SUPPORTED, outside, warn_outside
+from maloc._package.version import SUPPORTED, outside, warn_outside
 from maloc.cli.errors import explained
 from maloc.errors import MalocWarning
 

@@ -5,7 +5,7 @@ Nothing here needs JAX; polars is imported only when a table is read or written.
 
 from typing import TYPE_CHECKING, Any
 
-from maloc import _moved
+from maloc._package import moved
 
 __all__ = [
     "ArrivalHistory",
@@ -79,7 +79,7 @@ else:
     def __getattr__(name: str) -> Any:
         """Import a public name when it is first asked for (PEP 562)."""
         if name not in _HOME:
-            return _moved.name_of(__name__, name)
+            return moved.name_of(__name__, name)
         from importlib import import_module
 
         value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc._version import __version__
+from maloc._package.version import __version__
 from maloc.errors import FitError, InputError
 from maloc.export.folder import check_free, output_folder
 from maloc.runs import output
