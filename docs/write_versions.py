@@ -34,7 +34,11 @@ A column is written by `docs/write_versions.py`, in the environment of a leg tha
 def packages() -> list[str]:
     """What maloc asks for, the extras of users included, in the order of pyproject.toml."""
     asked = [Requirement(text) for text in metadata.requires("maloc") or ()]
-    extras = [e for e in metadata.metadata("maloc").get_all("Provides-Extra") or () if e != "test"]
+    extras = [
+        e
+        for e in metadata.metadata("maloc").get_all("Provides-Extra") or ()
+        if e not in ("test", "docs")
+    ]
     wanted = [
         r.name
         for r in asked

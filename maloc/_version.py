@@ -12,7 +12,7 @@ __version__ = "0.2.0"
 
 # Lower bounds are pyproject.toml's. Above the upper ones nothing has been run: they
 # are no bounds of the package, which would keep users from newer releases that may do no harm.
-SUPPORTED = {"jax": ">=0.4.35,<0.13", "numpyro": ">=0.16,<0.23", "arviz": ">=0.20,<2"}
+SUPPORTED = {"jax": ">=0.4.35,<0.13", "numpyro": ">=0.16,<0.23", "arviz": ">=0.21,<2"}
 
 
 def outside() -> str:

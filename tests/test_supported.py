@@ -50,7 +50,7 @@ def test_what_is_installed_here_is_supported():
 
 @pytest.mark.parametrize(
     ("name", "version"),
-    [("arviz", "0.19.2"), ("arviz", "2.0.0"), ("numpyro", "0.23.0"), ("jax", "0.4.34.dev1")],
+    [("arviz", "0.20.0"), ("arviz", "2.0.0"), ("numpyro", "0.23.0"), ("jax", "0.4.34.dev1")],
 )
 def test_both_versions_are_said(pretend, name, version):
     pretend(**{name: version})
@@ -98,7 +98,7 @@ def test_a_command_that_fails_says_so_in_one_line(pretend, capsys):
         command()
     assert end.value.exit_code == 1
     said = capsys.readouterr().err
-    assert said.startswith("maloc: error: arviz 2.1.0 is outside the range maloc supports (>=0.20")
+    assert said.startswith("maloc: error: arviz 2.1.0 is outside the range maloc supports (>=0.21")
     assert said.endswith("and failed: TypeError: __init__() got an unexpected keyword\n")
     assert said.count("\n") == 1
 
