@@ -1,6 +1,12 @@
-"""Data at the edge: validated containers, readers, grouping into pings, and checks.
+"""Data: validated containers, and the grouping of detections into pings.
 
-Nothing here needs JAX; polars is imported only when a table is read or written.
+Nothing here needs JAX; polars is imported only when a table is made or read.
+
+Comes in: arrays.
+Goes out: containers that checked themselves once and never change, and one container made of
+    another: `preparation.py` and `grouping.py` (detections to pings), `encounter_grouping.py`.
+Start reading: `detections.py`, `receivers.py`, `arrivals.py`. Knows no file format and no model.
+The page: docs/architecture.md, "Data to arrival times".
 """
 
 from typing import TYPE_CHECKING, Any
