@@ -13,8 +13,8 @@ import typer
 from packaging.specifiers import SpecifierSet
 from packaging.version import Version
 
-from maloc._cli_errors import explained
-from maloc._supported import SUPPORTED, outside, warn_outside
+from maloc._version import SUPPORTED, outside, warn_outside
+from maloc.cli.errors import explained
 from maloc.errors import MalocWarning
 
 FAKE = """
