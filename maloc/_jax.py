@@ -11,10 +11,14 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
+from maloc._version import warn_outside
 
-from maloc.errors import FitError
+warn_outside()  # before the imports that an unsupported version may fail in
+
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+
+from maloc.errors import FitError  # noqa: E402
 
 __all__ = ["jax", "jnp", "require_x64"]
 

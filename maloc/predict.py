@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc._limits import Z95
+from maloc.data._limits import Z95
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,10 +101,10 @@ def _read(file: Path) -> list[StoredTrack]:
     import xarray as xr
 
     from maloc import movement
-    from maloc.depth import DepthPath
     from maloc.infer._bridge import PathDraws
     from maloc.infer._depths import DepthDraws
     from maloc.infer._paths import in_order
+    from maloc.world.depth import DepthPath
 
     def group(name: str | None):
         with xr.open_dataset(file, group=name, engine="h5netcdf") as found:
@@ -118,13 +118,25 @@ def _read(file: Path) -> list[StoredTrack]:
             file=file,
             mend="run maloc track again with this version",
         ) from None
+    among = law["ping"].values.astype(bool) if "ping" in law else np.ones(law.sizes["state"], bool)
+    between = None if among.all() else group("between")
+
+    def draws(name: str) -> np.ndarray:
+        """Draws (D, S, ...) of a site at all states: those of pings, and those between them."""
+        at_pings = _flat(posterior[name].values)
+        if between is None:
+            return at_pings
+        out = np.empty((len(at_pings), len(among), *at_pings.shape[2:]))
+        out[:, among], out[:, ~among] = at_pings, _flat(between[name].values)
+        return out
+
     kind = getattr(movement, law.attrs["law"])
-    track = _flat(posterior[law.attrs["path"]].values)
+    track = draws(law.attrs["path"])
     state = track.reshape(*track.shape[:2], -1, track.shape[-1])
     told = law["told"].values.astype(bool)
     clock = np.broadcast_to(_time(law["time"]), track.shape[:2])
     if told.any():
-        clock = np.where(told, _flat(posterior["emission_time"].values), clock)
+        clock = np.where(told, draws("emission_time"), clock)
     water, deep = _stored_water(file), _stored_depth(file)
     names = np.atleast_1d(about.get("tags", [""])).tolist()
     origin = int(about["origin"]) if "origin" in about else None
@@ -138,7 +150,7 @@ def _read(file: Path) -> list[StoredTrack]:
         if deep is not None:
             path = None
             if "depth_path" in posterior:
-                z = _flat(posterior["depth_path"].values)[:, mine, None]
+                z = draws("depth_path")[:, mine, None]
                 how = {n: _flat(law[f"depth_{n}"].values)[:, k] for n in DepthPath.scale_names}
                 centre = _flat(law["depth_centre"].values)[:, k]
                 path = PathDraws(movement.OU, how, own, z, centre)
@@ -158,7 +170,7 @@ def _stored_water(file: Path):
     with h5netcdf.File(file, "r") as stored:
         if "water" not in stored.groups:
             return None
-    from maloc.habitat import Water
+    from maloc.world.habitat import Water
 
     with xr.open_dataset(file, group="water", engine="h5netcdf") as found:
         parts = {str(name): np.asarray(value.values) for name, value in found.items()}
@@ -174,7 +186,7 @@ def _stored_depth(file: Path):
     with h5netcdf.File(file, "r") as stored:
         if "depth" not in stored.groups:
             return None
-    from maloc.data.depth_data import DepthData
+    from maloc.world.depth_data import DepthData
 
     with xr.open_dataset(file, group="depth", engine="h5netcdf") as found:
         parts: dict[str, Any] = {str(name): np.asarray(v.values) for name, v in found.items()}

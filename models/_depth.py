@@ -7,11 +7,12 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jnp
-from maloc.depth import DepthPath, PressureSensor, bottom_at, depth_of
+from maloc.world.depth import DepthPath, PressureSensor, bottom_at, depth_of
 
-__all__ = ["UNITS", "depth", "slanted"]
+__all__ = ["DIMS", "UNITS", "depth", "slanted"]
 
 UNITS = {"depth_mean": "m", "depth_sd": "m", "depth_t05": "s"}
+DIMS = {"depth": ("ping",), "depth_mean": ("tag",), "depth_level": ("tag",)}
 
 
 def depth(data, position, tag=None, n_tags: int = 1):

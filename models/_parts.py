@@ -14,11 +14,12 @@ import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
 from maloc.detection import KINDS, encounters, linear_shift
-from maloc.drift import GaussMarkov
 from maloc.movement import CTCRW, OU, Brownian
-from maloc.statespace import SoftBox
+from maloc.world.drift import GaussMarkov
+from maloc.world.statespace import SoftBox
 
 __all__ = [
+    "DIMS",
     "UNITS",
     "Heard",
     "MissedPings",
@@ -32,7 +33,13 @@ __all__ = [
 ]
 
 UNITS = {"scale": "m", "sigma_step": "m/s^.5", "sigma_vel": "m/s", "t05": "s"}
-UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s"}
+UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s", "range_memory": "s"}
+DIMS = {"position": ("ping", "axis"), "log_q": ("ping",), "receiver_effect": ("receiver",)}
+DIMS |= {"coefficient": ("covariate",)}
+DIMS |= dict.fromkeys(("home", "home_offset"), ("tag", "axis"))
+DIMS |= dict.fromkeys(
+    [f"{k}_tag" for k in ("sigma_step", "sigma_vel", "t05", "home_sd", "home_t05")], ("tag",)
+)
 MOVEMENT = ("rw", "ctcrw", "ou")
 
 
@@ -179,13 +186,13 @@ class MissedPings(dist.Distribution):
     the same gradient, and one state a term).
     """
 
-    local = True
+    local = summed_out = True
     arg_constraints: Any = {}
     support: Any = dist.constraints.real
     pytree_data_fields = ("gaps", "log_q", "log_density")
 
     def __init__(self, gaps, log_q, *, validate_args=None) -> None:
-        from maloc.renewal import gap_log_likelihood
+        from maloc.schedule.renewal import gap_log_likelihood
 
         self.gaps, self.log_q = gaps, log_q
         self.log_density = gap_log_likelihood(gaps, log_q)
@@ -197,7 +204,7 @@ class MissedPings(dist.Distribution):
 
     def local_log_prob(self, value, here):
         """The surrogate around ``here``: expected misses times log q, (S,)."""
-        from maloc.renewal import gap_log_likelihood
+        from maloc.schedule.renewal import gap_log_likelihood
 
         expected = jax.grad(lambda log_q: gap_log_likelihood(here.gaps, log_q).sum())(here.log_q)
         return expected * self.log_q

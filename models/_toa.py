@@ -10,11 +10,12 @@ import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
 from maloc.arrival import DDetect, Gaussian, GaussianStudent, Student
-from maloc.drift import GaussMarkov, IntervalDrift, interval_step
 from maloc.models._parts import home_range
 from maloc.movement import CTCRW, Brownian
+from maloc.world.drift import GaussMarkov, IntervalDrift, interval_step
 
 __all__ = [
+    "DIMS",
     "UNITS",
     "arrivals",
     "emission",
@@ -27,7 +28,10 @@ __all__ = [
 ]
 
 UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s"}
-UNITS |= {"interval_sd": "s", "sound_speed": "m/s", "home": "m", "home_sd": "m", "home_t05": "s"}
+UNITS |= {"interval_sd": "s", "sound_speed": "m/s", "sound_speed_memory": "s"}
+UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s"}
+DIMS = {"position": ("ping", "axis"), "emission_time": ("ping",)}
+DIMS |= dict.fromkeys(("home", "home_offset"), ("tag", "axis"))
 _OFF = 0.02  # relative sd of a tag's own interval about the stated one
 _JITTER = 0.2  # ms; how well a tag keeps its beat from one ping to the next
 _INLAND = 3.0  # how far a path strays inland, in widths of the shore

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpyro
 
 from maloc._jax import jnp
-from maloc.data.encounter_data import as_encounter_data
 from maloc.detection import squared_distance
+from maloc.model_data.encounters import as_encounter_data
 from maloc.models import _parts
 
-__all__ = ["UNITS", "detection_only"]
+__all__ = ["DIMS", "UNITS", "detection_only"]
 
-UNITS = _parts.UNITS
+UNITS, DIMS = _parts.UNITS, _parts.DIMS
 
 
 def detection_only(

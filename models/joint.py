@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import numpyro
 
-from maloc.data.joint_data import as_joint_data
 from maloc.data.joint_history import as_history
 from maloc.detection import KINDS, squared_distance
+from maloc.model_data.joint import as_joint_data
 from maloc.models import _depth, _parts, _toa
 
-__all__ = ["UNITS", "joint"]
+__all__ = ["DIMS", "UNITS", "joint"]
 
 UNITS = _parts.UNITS | _toa.UNITS | _depth.UNITS | {"interval_drift": "ms", "interval": "ms"}
-UNITS |= {"range_memory": "s", "sound_speed_memory": "s"}
+DIMS = _parts.DIMS | _toa.DIMS | _depth.DIMS
 
 
 def joint(

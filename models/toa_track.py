@@ -13,12 +13,12 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jnp
-from maloc.data.model_data import as_toa_data
+from maloc.model_data.toa import as_toa_data
 from maloc.models import _depth, _toa
 
-__all__ = ["UNITS", "toa_track"]
+__all__ = ["DIMS", "UNITS", "toa_track"]
 
-UNITS = _toa.UNITS | _depth.UNITS
+UNITS, DIMS = _toa.UNITS | _depth.UNITS, _toa.DIMS | _depth.DIMS
 
 
 def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed="auto"):

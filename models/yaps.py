@@ -9,13 +9,13 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jnp
-from maloc.data.model_data import as_toa_data
-from maloc.drift import IntervalDrift, RandomWalk, interval_step
+from maloc.model_data.toa import as_toa_data
 from maloc.models import _depth, _toa
+from maloc.world.drift import IntervalDrift, RandomWalk, interval_step
 
-__all__ = ["UNITS", "yaps"]
+__all__ = ["DIMS", "UNITS", "yaps"]
 
-UNITS = _toa.UNITS | _depth.UNITS
+UNITS, DIMS = _toa.UNITS | _depth.UNITS, _toa.DIMS | _depth.DIMS
 UNITS |= {"t_scale": "m", "interval_drift": "ms", "interval": "ms", "sound_speed_sd": "m/s^1.5"}
 _BEAT = 1e-3  # ms; emission times are sums of the intervals, all but exactly
 _OFF = 0.02  # relative sd of a tag's first interval about the stated one

@@ -10,7 +10,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from setuptools import find_packages
 
 HEAVY = ("jax", "numpyro", "polars", "matplotlib", "arviz", "xarray", "scipy", "pyproj")
 
@@ -50,18 +49,25 @@ def test_every_package_is_in_the_wheel(root_dir: Path):
     """A package missing from the list would vanish from the wheel without a word."""
     config = tomllib.loads((root_dir / "pyproject.toml").read_text())
     listed = config["tool"]["setuptools"]["packages"]
-    found = {p for p in find_packages(str(root_dir)) if p.split(".")[0] == "maloc"}
-    found |= {f"maloc.{p}" for p in find_packages(str(root_dir), include=["models", "models.*"])}
+    files = [*(root_dir / "maloc").rglob("*.py"), *(root_dir / "models").rglob("*.py")]
+    homes = {file.parent.relative_to(root_dir).parts for file in files}
+    found = {".".join(p if p[0] == "maloc" else ("maloc", *p)) for p in homes}
     assert sorted(listed) == sorted(found)
 
 
 def test_one_version(root_dir: Path):
+    """What is built has the package's own; the papers of a release name the same."""
     import maloc
 
     config = tomllib.loads((root_dir / "pyproject.toml").read_text())
+    assert config["tool"]["setuptools"]["dynamic"]["version"] == {
+        "attr": "maloc._version.__version__"
+    }
     citation = (root_dir / "CITATION.cff").read_text()
-    assert config["project"]["version"] == maloc.__version__
-    assert f"version: {maloc.__version__}" in citation
+    assert f"version: {maloc.__version__}\n" in citation
+    changes = (root_dir / "CHANGELOG.md").read_text()
+    latest, dated = re.findall(r"^## (\S+) \((\S+)\)$", changes, flags=re.M)[0]
+    assert latest == maloc.__version__ and f"date-released: {dated}\n" in citation
 
 
 @pytest.mark.parametrize(
@@ -127,14 +133,20 @@ def test_api_page_lists_the_public_names(root_dir: Path):
         s.split("\n", 1)[0].strip().strip("`"): set(re.findall(r"^\| `(\w+)", s, flags=re.M))
         for s in sections
     }
+    handed_on = {
+        f"maloc.{room}.{name}"
+        for room in ("world", "schedule")
+        for name in _declared_all(root_dir / "maloc" / room / "__init__.py") or []
+    } | {"maloc.detection.rangetest"}
     declared = {}
     for file in _public_modules(root_dir):
         names = _declared_all(file)
         module = _module_name(file, root_dir)
-        if names is not None and (file.name == "__init__.py" or module.count(".") == 1):
+        package = file.name == "__init__.py"
+        if names is not None and (package or module.count(".") == 1 or module in handed_on):
             declared[module] = set(names)
-    # maloc.data.readers is reached through maloc.data; the command line has its own page.
-    for private in ("maloc.data.readers", "maloc.cli"):
+    # maloc.readers is reached through maloc.data; the command line has its own page.
+    for private in ("maloc.readers", "maloc.cli"):
         declared.pop(private, None)
     assert {m: n for m, n in declared.items() if n} == listed
 
@@ -173,6 +185,17 @@ def test_constraints_are_exact_versions(root_dir: Path):
     names = [re.sub(r"[._-]+", "-", line.split("==")[0]).lower() for line in lines]
     assert len(set(names)) == len(names)
     project = tomllib.loads((root_dir / "pyproject.toml").read_text())["project"]
-    wanted = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    extras = project["optional-dependencies"].values()
+    wanted = [*project["dependencies"], *(w for extra in extras for w in extra)]
     asked = {re.sub(r"[._-]+", "-", re.split(r"[>=<\[; ]", w)[0]).lower() for w in wanted}
-    assert asked <= set(names)
+    assert asked - {"maloc"} <= set(names)
+
+
+def test_readme_states_the_numbers_that_were_measured(root_dir):
+    """Its table is the one that benchmarks.readme makes of docs/readme_numbers.csv."""
+    from benchmarks import readme
+
+    page = (root_dir / "README.md").read_text()
+    stated = page.split(readme.BEGIN)[1].split(readme.END)[0]
+    assert stated == readme.table(readme.read_numbers())
+    assert "3.32 m" not in page

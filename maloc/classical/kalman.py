@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from maloc.classical._steps import LAWS, Law, steps
-from maloc.errors import FitError, InputError, MalocWarning
+from maloc.errors import FitError, InputError, MalocWarning, needs
 
 if TYPE_CHECKING:
     import polars as pl
@@ -243,10 +243,8 @@ def _bound(time: np.ndarray, xy: np.ndarray, covariance: np.ndarray, law: Law, v
     """The library's smoother with these data: the first position is the start, not a datum."""
     try:
         from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother
-    except ImportError:
-        raise InputError(
-            "the Kalman filter needs statsmodels", mend='pip install "maloc[classical]"'
-        ) from None
+    except ImportError as problem:
+        raise needs("the Kalman filter", "statsmodels", "classical", problem) from None
 
     d = xy.shape[1]
     a, q = steps(law, np.diff(time, append=time[-1] + 1.0), d, values)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc.errors import InputError
+from maloc.errors import needs
 
 try:
     from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
@@ -26,8 +26,8 @@ try:
     from stonesoup.types.track import Track
     from stonesoup.updater.kalman import KalmanUpdater
     from stonesoup.updater.probability import PDAUpdater
-except ImportError:
-    raise InputError("tracking needs Stone Soup", mend='pip install "maloc[tracking]"') from None
+except ImportError as problem:
+    raise needs("tracking", "Stone Soup", "tracking", problem) from None
 
 _AXES = (0, 2)  # x and y in its state x, vx, y, vy
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from maloc.infer._arviz import read_posterior
+from maloc.infer._replicate import unobserved
 from maloc.infer.criticism import InputCheck, InputChecks, check_inputs
 from maloc.infer.laplace import laplace
 from maloc.infer.loo import loo_by_ping
@@ -23,5 +25,7 @@ __all__ = [
     "laplace",
     "loo_by_ping",
     "nuts",
+    "read_posterior",
     "svi",
+    "unobserved",
 ]

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc import signal
-from maloc.data._encounter_gaps import Silence, find_gaps, most_missed
 from maloc.data.encounters import EncounterHistory
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
+from maloc.infer._fit import Fitted
 from maloc.infer._paths import path_draws
-from maloc.infer.result import Fit
+from maloc.infer._rows import Rows
+from maloc.model_data.gaps import Silence, find_gaps, most_missed
+from maloc.schedule import signal
 
 if TYPE_CHECKING:
     import polars as pl
@@ -49,14 +50,14 @@ class Counted(NamedTuple):
     draws: np.ndarray
 
 
-def flat_draws(fit: Fit) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def flat_draws(fit: Fitted) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Draws of all sites (D, ...), chains joined, and which 200 or fewer of them to use."""
     draws = {k: v.reshape(-1, *v.shape[2:]) for k, v in fit.draws().items()}
     n = len(draws["position"])
     return draws, np.unique(np.linspace(0, n - 1, min(n, _DRAWS)).astype(int))
 
 
-def count_missed(fit: Fit, history: EncounterHistory, seed: int = 0) -> Counted | None:
+def count_missed(fit: Fitted, history: EncounterHistory, seed: int = 0) -> Counted | None:
     """Count the missed pings of every gap, and draw their times.
 
     Parameters
@@ -76,8 +77,8 @@ def count_missed(fit: Fit, history: EncounterHistory, seed: int = 0) -> Counted 
     found = find_gaps(history)
     if gaps is None or not found:
         return None
-    from maloc import renewal
     from maloc._jax import jax, jnp
+    from maloc.schedule import renewal
 
     draws, keep = flat_draws(fit)
     log_q = draws["log_q"][keep]
@@ -155,7 +156,7 @@ def _stamps(history: EncounterHistory, seconds: list[float]) -> list:
 
 
 def track_table(
-    fit: Fit, history: EncounterHistory, counted: Counted | None = None, seed: int = 0
+    fit: Fitted, history: EncounterHistory, counted: Counted | None = None, seed: int = 0
 ) -> pl.DataFrame:
     """Track of every tag: its known pings, and those missed in its gaps.
 
@@ -175,15 +176,18 @@ def track_table(
     polars.DataFrame
         Columns of track.csv, by tag and time: tag, time (ISO 8601 UTC or null), t (the input's
         seconds), x, y, sd_x, sd_y (m), cov_xy (m2), x_lo, x_hi, y_lo, y_hi (central 95 %),
-        the depth z, sd_z, z_lo, z_hi (m) of tracks that have it, n_receivers, heard.
+        the depth z, sd_z, z_lo, z_hi (m) of tracks that have it, n_receivers, heard, ping (rows of
+        a tag's pings from 1, null where only the schedule calls for one).
     """
     import polars as pl
 
-    columns = _known(fit, history)
+    columns, n = _known(fit, history), len(history)
     if counted is not None and (more := _placed(fit, history, counted, seed)) is not None:
         columns = {k: np.concatenate([v, more[k]]) for k, v in columns.items()}
     order = np.lexsort((columns["t"], columns["tag"]))
+    fit._known["rows"] = _rows(columns, np.argsort(order), n)
     columns = {k: v[order] for k, v in columns.items()}
+    ping = pl.Series(columns.pop("ping")).replace(-1, None)
     t = columns.pop("t")
     tag = [history.tags[i] for i in columns.pop("tag")]
     if history.origin is None:
@@ -192,10 +196,24 @@ def track_table(
         ns = pl.Series(history.origin + np.round(t * 1e9).astype(np.int64))
         time = ns.cast(pl.Datetime("ns")).dt.strftime("%Y-%m-%dT%H:%M:%S%.6fZ")
         head = {"tag": tag, "time": time, "t": history.origin / 1e9 + t}
-    return pl.DataFrame(head | columns | {"heard": columns["n_receivers"] > 0})
+    return pl.DataFrame(head | columns | {"heard": columns["n_receivers"] > 0, "ping": ping})
 
 
-def _columns(tag, t, position, covariance, low, high, depth, n_receivers):
+def _rows(columns: dict[str, np.ndarray], row: np.ndarray, n: int) -> Rows:
+    """Where the columns' rows stand in the table; the first n are in the fit's chain."""
+    more = {k: v[n:] for k, v in columns.items()}
+    covariance = np.empty((len(row) - n, 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = more["sd_x"] ** 2, more["sd_y"] ** 2
+    covariance[:, 0, 1] = covariance[:, 1, 0] = more["cov_xy"]
+
+    def pair(x: str, y: str) -> np.ndarray:
+        return np.column_stack([more[x], more[y]])
+
+    where = pair("x", "y"), covariance, pair("x_lo", "y_lo"), pair("x_hi", "y_hi")
+    return Rows(row[:n], row[n:], more["ping"], more["tag"], more["t"], *where)
+
+
+def _columns(tag, t, position, covariance, low, high, depth, n_receivers, ping):
     return {
         "tag": np.asarray(tag),
         "t": np.asarray(t),
@@ -210,19 +228,22 @@ def _columns(tag, t, position, covariance, low, high, depth, n_receivers):
         "y_hi": high[:, 1],
         **dict(zip(COLUMNS, depth.T, strict=False)),
         "n_receivers": np.asarray(n_receivers),
+        "ping": np.asarray(ping),
     }
 
 
-def _known(fit: Fit, history: EncounterHistory) -> dict[str, np.ndarray]:
+def _known(fit: Fitted, history: EncounterHistory) -> dict[str, np.ndarray]:
     """Rows of the pings that are rows of the history, from the posterior's moments."""
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
     position, covariance, low, high = (part[states] for part in fit.positions())
     time = _sent(fit, history, states)
     depth = np.array(fit.depths() or ()).T.reshape(fit.n_states, -1)[states]
-    return _columns(history.tag, time, position, covariance, low, high, depth, history.n_heard)
+    number = np.arange(len(history)) - history.first_rows[history.tag] + 1
+    known = (position, covariance, low, high, depth, history.n_heard, number)
+    return _columns(history.tag, time, *known)
 
 
-def _sent(fit: Fit, history: EncounterHistory, states: np.ndarray) -> np.ndarray:
+def _sent(fit: Fitted, history: EncounterHistory, states: np.ndarray) -> np.ndarray:
     """Emission times (P,), s: as the fit has them, where arrivals or a beat tell; else as given."""
     draws = fit.draws()
     if "emission_time" not in draws:
@@ -232,7 +253,7 @@ def _sent(fit: Fit, history: EncounterHistory, states: np.ndarray) -> np.ndarray
 
 
 def _placed(
-    fit: Fit, history: EncounterHistory, counted: Counted, seed: int
+    fit: Fitted, history: EncounterHistory, counted: Counted, seed: int
 ) -> dict[str, np.ndarray] | None:
     """Rows of the missed pings, as many in each gap as are most probable."""
     rng = np.random.default_rng(seed)
@@ -256,7 +277,7 @@ def _placed(
             place = places[:, i]
             low, high = np.quantile(place, [0.025, 0.975], axis=0)
             where = (place.mean(axis=0), np.cov(place.T), low, high, summed_up(deep, i))
-            parts.append((gap.tag, at[:, i].mean(), *where, 0))
+            parts.append((gap.tag, at[:, i].mean(), *where, 0, -1))
     if not parts:
         return None
     return _columns(*(np.array(column) for column in zip(*parts, strict=True)))

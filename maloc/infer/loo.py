@@ -21,6 +21,8 @@ from maloc.infer.result import Fit, LaplaceFit
 
 __all__ = ["loo_by_ping", "ping_log_likelihood"]
 
+_LEAST_DRAWS = 25  # ArviZ 1.x refuses fewer: five in the tail of a fifth
+
 
 def ping_log_likelihood(fit: Fit, draws: int = 100) -> np.ndarray:
     """Log predictive density of each heard ping given all others, at draws of the parameters.
@@ -73,7 +75,7 @@ def loo_by_ping(fit: Fit, draws: int = 100) -> Any:
     fit : Fit
         Fit of a model of arrival times.
     draws : int
-        Posterior draws of the parameters.
+        Posterior draws of the parameters, 25 at least.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def loo_by_ping(fit: Fit, draws: int = 100) -> Any:
     Raises
     ------
     InputError
-        If the model has no pings with arrival times.
+        If the model has no pings with arrival times, or the draws are too few.
 
     References
     ----------
@@ -94,15 +96,18 @@ def loo_by_ping(fit: Fit, draws: int = 100) -> Any:
     import arviz as az
     import xarray as xr
 
+    if draws < _LEAST_DRAWS:
+        raise InputError(f"{draws} draws are too few to leave pings out", mend="take 100")
+
+    from maloc.infer._arviz import as_arviz
+
     value = ping_log_likelihood(fit, draws)[None]
     groups: dict[str, Any] = {
         "posterior": xr.Dataset({"draw_of": (("chain", "draw"), np.zeros(value.shape[:2]))}),
         "log_likelihood": xr.Dataset({"density": (("chain", "draw", "ping"), value)}),
     }
-    if hasattr(az, "InferenceData") and isinstance(az.InferenceData, type):
-        return az.loo(az.InferenceData(**groups), pointwise=True, reff=1.0)
     tree = xr.DataTree.from_dict({f"/{name}": group for name, group in groups.items()})
-    return az.loo(tree, pointwise=True, reff=1.0)
+    return az.loo(as_arviz(tree), pointwise=True, reff=1.0)
 
 
 def _path(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -85,6 +85,8 @@ def nuts(
     Hoffman & Gelman (2014) J. Mach. Learn. Res. 15: 1593-1623; Neal (2011) MCMC using Hamiltonian
     dynamics.
     """
+    if callable(key) or isinstance(key, Fit):
+        raise TypeError("nuts(key, model, data, ...) takes the random key first: jax.random.key(1)")
     if chains < 2:
         raise ValueError("chains must be 2 or more: one chain cannot show that it has converged")
     if method not in ("nuts", "hmc"):
@@ -146,6 +148,7 @@ def nuts(
     stats["step_size"] = np.asarray(sizes)
     stats["cpu"] = np.asarray(spent)  # seconds of the kept draws: no compilation, no warm-up
     fit = SampledFit(cm, data, start.options, stages, (), method, x, u, stats)
+    fit.source = start.source
     fit.warnings = (*warnings, *_convergence(fit))
     return fit
 

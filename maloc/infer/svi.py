@@ -83,6 +83,8 @@ def svi(
     (the gradient's estimate); Tan & Nott (2018) Gaussian variational approximation with sparse
     precision matrices. Stat. Comput. 28: 259-275 (the structure).
     """
+    if callable(key) or isinstance(key, Fit):
+        raise TypeError("svi(key, model, data, ...) takes the random key first: jax.random.key(1)")
     if particles < 2 or particles % 2:
         raise ValueError("particles must be an even number: draws come in antithetic pairs")
     if steps < 2 * CHUNK:
@@ -123,9 +125,11 @@ def svi(
         bound = np.asarray(engine.bounds(guide, white, data))
     history = Seen(*(np.concatenate(part) for part in zip(*seen, strict=True)))
     warnings += _unsettled(history, bound, white.shape[1])
-    return SviFit(
+    fit = SviFit(
         cm, data, start.options, stages, tuple(warnings), guide, bound, history.bound, draws, seed
     )
+    fit.source = start.source
+    return fit
 
 
 class SviFit(Fit):

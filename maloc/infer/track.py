@@ -11,18 +11,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc import signal
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import FitError
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
+from maloc.infer._fit import Fitted
 from maloc.infer._paths import path_draws
-from maloc.infer.result import Fit
+from maloc.infer._rows import Rows
+from maloc.schedule import signal
 
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["gaps_outside", "track_table"]
+__all__ = ["find_rows", "gaps_outside", "track_table"]
 
 _DRAWS = 1000
 
@@ -37,9 +38,10 @@ class _Rows(NamedTuple):
     high: np.ndarray
     depth: np.ndarray  # (n, 4) m: mean, sd, interval; no columns where the track is flat
     n_receivers: np.ndarray
+    ping: np.ndarray  # id in the input, -1 = none
 
 
-def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
+def track_table(fit: Fitted, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
     """Track of a fit as a table, every ping in order.
 
     Parameters
@@ -56,14 +58,36 @@ def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
     polars.DataFrame
         Columns of track.csv: tag, time (ISO 8601 UTC or null), t (emission time, the input's
         seconds), x, y, sd_x, sd_y (m), cov_xy (m2), x_lo, x_hi, y_lo, y_hi (central 95 %), the
-        depth z, sd_z, z_lo, z_hi (m) of a track that has it, n_receivers, heard; and longitude,
-        latitude where the receivers' frame is known.
+        depth z, sd_z, z_lo, z_hi (m) of a track that has it, n_receivers, heard, ping (id in the
+        input, null where only the schedule calls for it); and longitude, latitude where the
+        receivers' frame is known.
     """
-    rows = _join(_heard(fit, toa), _unheard(fit, toa, np.random.default_rng(seed)))
-    return _frame(rows, toa)
+    return _frame(find_rows(fit, toa, seed), toa)
 
 
-def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
+def find_rows(fit: Fitted, toa: ArrivalTimes, seed: int = 0) -> _Rows:
+    """Work the track's rows out, and note in the fit where its pings stand among them."""
+    heard, more = _heard(fit, toa), _unheard(fit, toa, np.random.default_rng(seed))
+    both, n = heard, len(heard.t)
+    if more is not None:
+        both = _Rows(*(np.concatenate(pair) for pair in zip(heard, more, strict=True)))
+    order = np.argsort(both.t, kind="stable")
+    row = np.argsort(order, kind="stable")
+    fit._known["rows"] = Rows(
+        row[:n],
+        row[n:],
+        both.ping[n:],
+        np.zeros(len(row) - n, int),
+        both.t[n:],
+        both.position[n:],
+        both.covariance[n:],
+        both.low[n:],
+        both.high[n:],
+    )
+    return _Rows(*(column[order] for column in both))
+
+
+def _heard(fit: Fitted, toa: ArrivalTimes) -> _Rows:
     """Rows of the heard pings from the posterior's moments."""
     position, covariance, low, high = fit.positions()
     if fit.method == "laplace":
@@ -72,10 +96,13 @@ def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
     else:
         emission = fit.draws()["emission_time"].mean(axis=(0, 1))
     depth = np.array(fit.depths() or ()).T.reshape(len(emission), -1)
-    return _Rows(emission, position, covariance, low, high, depth, toa.n_heard[toa.n_heard > 0])
+    known = toa.n_heard > 0
+    return _Rows(
+        emission, position, covariance, low, high, depth, toa.n_heard[known], toa.ping[known]
+    )
 
 
-def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:
+def _unheard(fit: Fitted, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:
     """Rows of pings that nobody heard: those of the input, and those the schedule calls for."""
     gaps = _gaps(toa)
     if not gaps:
@@ -84,7 +111,12 @@ def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | N
     keep = np.linspace(0, len(path.clock) - 1, min(len(path.clock), _DRAWS)).astype(int)
     path = path.take(keep)
     parts = []
+    heard = np.flatnonzero(toa.n_heard > 0)
+    pings: list[int] = []
     for k, n, schedule in gaps:
+        after = 0 if k < 0 else int(heard[k]) + 1
+        empty = range(after, int(heard[k + 1]) if k + 1 < len(heard) else toa.n_pings)
+        pings += [int(toa.ping[row]) for row in empty] or [-1] * n
         times = _times(rng, path.clock, k, n, schedule, len(keep))
         places = draw(rng, path, times)[:, :, 0]  # (draw, n, 2)
         deep = None if path.depth is None else draw_depths(rng, path.depth, times, places)
@@ -95,7 +127,7 @@ def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | N
             depth = summed_up(deep, i)
             parts.append((times[:, i].mean(), place.mean(axis=0), covariance, low, high, depth))
     columns = [np.array(c) for c in zip(*parts, strict=True)]
-    return _Rows(*columns, n_receivers=np.zeros(len(parts), int))
+    return _Rows(*columns, n_receivers=np.zeros(len(parts), int), ping=np.array(pings))
 
 
 def _gaps(toa: ArrivalTimes) -> list[tuple[int, int, Schedule]]:
@@ -162,14 +194,6 @@ def _times(rng, emission, k: int, n: int, schedule: Schedule, size: int) -> np.n
     return emission[:, :1] - ends[:, ::-1] if k < 0 else emission[:, -1:] + ends
 
 
-def _join(heard: _Rows, unheard: _Rows | None) -> _Rows:
-    if unheard is None:
-        return heard
-    both = _Rows(*(np.concatenate(pair) for pair in zip(heard, unheard, strict=True)))
-    order = np.argsort(both.t, kind="stable")
-    return _Rows(*(column[order] for column in both))
-
-
 def _frame(rows: _Rows, toa: ArrivalTimes) -> pl.DataFrame:
     import polars as pl
 
@@ -195,6 +219,7 @@ def _frame(rows: _Rows, toa: ArrivalTimes) -> pl.DataFrame:
         **dict(zip(COLUMNS, rows.depth.T, strict=False)),
         "n_receivers": rows.n_receivers,
         "heard": rows.n_receivers > 0,
+        "ping": pl.Series(rows.ping).replace(-1, None),
     }
     if toa.receivers.crs is not None:
         lon, lat = toa.receivers.lonlat(rows.position[:, 0], rows.position[:, 1])

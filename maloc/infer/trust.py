@@ -6,6 +6,7 @@ import numpy as np
 from numpyro import handlers
 
 from maloc._jax import jax, jnp
+from maloc.infer._arviz import psis
 from maloc.infer._model import ChainModel, _unwrap
 from maloc.infer.result import Fit
 
@@ -32,9 +33,7 @@ def k_hat(log_ratios: np.ndarray) -> float:
     ICML 35; Vehtari, Simpson, Gelman, Yao & Gabry (2024) Pareto smoothed importance sampling.
     J. Mach. Learn. Res. 25(72).
     """
-    from arviz import psislw
-
-    return float(psislw(np.asarray(log_ratios, float))[1])
+    return psis(log_ratios)
 
 
 def predictive_check(fit: Fit, draws: int = 40, seed: int = 0) -> float:

@@ -67,7 +67,8 @@ def test_late_arrivals_speak_for_the_law_that_knows_them(fits):
     found = {error: maloc.infer.loo_by_ping(fit, 40) for error, fit in fits.items()}
     table = az.compare(found)
     assert list(table.index) == ["ddetect", "gaussian"]
-    assert table.loc["gaussian", "elpd_diff"] > 2 * table.loc["gaussian", "dse"]
+    # how far behind the best: above 0 in arviz 0, below in 1
+    assert abs(table.loc["gaussian", "elpd_diff"]) > 2 * table.loc["gaussian", "dse"]
 
 
 @pytest.mark.extended
@@ -77,11 +78,13 @@ def test_sampled_fits_say_the_same(laplace_fit, sampled_fit):
     other = loo.ping_log_likelihood(sampled_fit, 40)
     assert one.shape == other.shape == (40, 12)
     assert np.median(np.abs(np.median(one, axis=0) - np.median(other, axis=0))) < 1.0
-    found = maloc.infer.loo_by_ping(sampled_fit, 20)
+    found = maloc.infer.loo_by_ping(sampled_fit, 30)
     total = found.elpd_loo if hasattr(found, "elpd_loo") else found.elpd  # arviz 0 and 1
     assert np.isfinite(total)
 
 
-def test_models_without_pings_are_refused(fixes_fit):
+def test_models_without_pings_are_refused(fixes_fit, sampled_fit):
     with pytest.raises(InputError, match="a fit of fixes has no pings"):
         maloc.infer.loo_by_ping(fixes_fit)
+    with pytest.raises(InputError, match="20 draws are too few"):
+        maloc.infer.loo_by_ping(sampled_fit, 20)

@@ -13,14 +13,15 @@ from typer.testing import CliRunner
 
 import maloc.infer
 from maloc._jax import jnp
-from maloc._predict_run import run_predict
 from maloc.cli import app
 from maloc.errors import InputError
-from maloc.infer._export import _movement, write_posterior
+from maloc.infer._export import write_posterior
 from maloc.infer._paths import path_draws
+from maloc.infer._stored import movement_group
 from maloc.movement import OU
 from maloc.predict import prediction_table, read_tracks, regular_times
-from maloc.statespace import SoftBox
+from maloc.runs.predict import run_predict
+from maloc.world.statespace import SoftBox
 from tests.infer import cases
 
 ORIGIN = 1_700_000_000_250_000_000  # ns: a quarter of a second past a whole one
@@ -85,7 +86,7 @@ def test_several_tags_each_with_parameters_of_its_own(tmp_path):
 
 def test_without_movement_there_is_nothing_to_predict_by(tmp_path):
     still = SimpleNamespace(cm=SimpleNamespace(chain=[SimpleNamespace(law=SoftBox)]))
-    assert _movement(still) is None  # pyright: ignore[reportArgumentType]
+    assert movement_group(still, np.ones(1, bool)) is None  # pyright: ignore[reportArgumentType]
     xr.Dataset().to_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")
     with pytest.raises(InputError, match="no movement to predict by"):
         read_tracks(tmp_path)

@@ -10,7 +10,7 @@ from maloc.models import toa_track
 from tests.infer import cases
 
 COLUMNS = (
-    "tag time t x y sd_x sd_y cov_xy x_lo x_hi y_lo y_hi n_receivers heard".split()
+    "tag time t x y sd_x sd_y cov_xy x_lo x_hi y_lo y_hi n_receivers heard ping".split()
 )  # interface.md
 
 
@@ -27,6 +27,7 @@ class TestHeard:
         assert in_order(table)
         assert table["heard"].to_list() == [True] * 4 + [False] + [True] * 8
         assert table["n_receivers"].to_list() == times.n_heard.tolist()
+        assert table["ping"].to_list() == times.ping.tolist()
         assert table["tag"].unique().to_list() == ["A69-1602-1"]
         assert table["time"].null_count() == 13  # the data have no date
         heard = table.filter(table["heard"])

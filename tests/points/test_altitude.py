@@ -112,7 +112,7 @@ def test_terrain_elsewhere_is_refused():
 
 def test_reading_terrain_needs_rasterio(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rasterio", None)
-    with pytest.raises(InputError, match=r"pip install 'maloc\[terrain\]'"):
+    with pytest.raises(InputError, match=r'pip install "maloc\[terrain\]"'):
         read_terrain(tmp_path / "dem.tif")
 
 

@@ -1,0 +1,1 @@
+"""What maloc is measured with, against truth and against other programs."""

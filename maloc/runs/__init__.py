@@ -1,0 +1,3 @@
+"""What a command does, from files to a finished folder."""
+
+__all__: list[str] = []

@@ -1,0 +1,3 @@
+"""Published simulation studies, repeated."""
+
+__all__: list[str] = []

@@ -1,0 +1,1 @@
+"""Simulated studies of how good the estimates are."""
