@@ -12,6 +12,8 @@ from maloc.emitters.tracking import Tracks
 from maloc.errors import InputError
 from tests.oracles import best_packing, emission_log_ratio
 
+pytestmark = pytest.mark.compiles
+
 SQUARE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
 
 
@@ -38,7 +40,6 @@ def _scan(rng, sensing, emitters, sent):
     return np.append(value[keep], 0.05), np.append(column[keep], 1)
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("reference", [None, 0])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_best_set_is_that_of_all_partitions(reference, seed):
