@@ -57,7 +57,7 @@ lint: $(STAMP)
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
 # Most of the suite's time is XLA's compiler's, so make test has it take the short way. As users
-# have it, it compiles in the processes that maloc starts itself (maloc/_threads.py), in
+# have it, it compiles in the processes that maloc starts itself (maloc/runs/threads.py), in
 # make test-extended, test-newest and test-oldest, and under a bare pytest.
 QUICK := --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 \
   --xla_cpu_use_fusion_emitters=false
