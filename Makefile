@@ -51,6 +51,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/deptry maloc models benchmarks simulations
 	$(BIN)/deptry tests notebooks docs --ignore DEP002,DEP004
+	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
@@ -70,7 +71,7 @@ test: $(STAMP)
 
 # The legs: what a user does, from a raw export to every output, and the tests of whatever leans on
 # an optional dependency. Deprecations are errors on the newest versions; the oldest have their own.
-SMOKE := tests/smoke tests/test_export.py tests/data/test_formats.py tests/test_habitat.py::test_water_of_a_raster \
+SMOKE := tests/smoke tests/export/test_export.py tests/readers/test_formats.py tests/world/test_habitat.py::test_water_of_a_raster \
   tests/emitters/test_tracking.py tests/classical/test_kalman.py
 SMOKE_TOOLS := 'pytest>=8' 'hypothesis>=6.100'
 DEPRECATED := DeprecationWarning PendingDeprecationWarning FutureWarning

@@ -12,8 +12,8 @@ import pytest
 import typer
 from packaging.specifiers import SpecifierSet
 
-from maloc._cli_errors import explained
-from maloc._supported import SUPPORTED, outside, warn_outside
+from maloc._version import SUPPORTED, outside, warn_outside
+from maloc.cli.errors import explained
 from maloc.errors import MalocWarning
 
 FAKE = """
