@@ -125,6 +125,8 @@ def test_commands_could_run(page):
 @pytest.mark.parametrize("page", pages.PAGES)
 def test_names_exist(page):
     """Dotted names of maloc, commands, extras and files of the repository in running text."""
+    if page == "CHANGELOG.md":  # names that moved, too
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
     for line, token in pages.inline(page, "code_inline"):
         text = token.content
         try:
