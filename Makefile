@@ -2,6 +2,7 @@
 # make check  a quick look while working: lint, types of what changed, tests without JAX's compiler
 # make test   set up, lint, types, then the whole test suite and the notebooks
 # make test-extended   the long tests and notebooks that make test leaves out
+# make docs   the site in docs/_build/html: pages, notebooks and gallery as they run, reference
 # make test-newest PYTHON=python3.13   the smoke tests on the newest of everything
 # make test-oldest   the smoke tests on the lowest versions that pyproject.toml allows
 # Nothing but Python 3.11+ and make is needed beforehand; everything lands in .venv, .venv-newest
@@ -11,13 +12,14 @@ VENV  := .venv
 BIN   := $(VENV)/bin
 CORE  := $(VENV)/.core
 STAMP := $(VENV)/.installed
+SITE  := $(VENV)/.docs
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 LONG := notebooks/array_design.ipynb notebooks/hostetter_royle.ipynb
 WORKERS ?= 2
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: install check test test-extended test-newest test-oldest lint pytest demo clean
+.PHONY: install check test test-extended test-newest test-oldest lint pytest demo docs clean
 .DELETE_ON_ERROR:
 
 install: $(CORE)
@@ -50,11 +52,12 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/deptry maloc models benchmarks simulations
 	$(BIN)/deptry tests notebooks docs --ignore DEP002,DEP004
+	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
 # Most of the suite's time is XLA's compiler's, so make test has it take the short way. As users
-# have it, it compiles in the processes that maloc starts itself (maloc/_threads.py), in
+# have it, it compiles in the processes that maloc starts itself (maloc/runs/threads.py), in
 # make test-extended, test-newest and test-oldest, and under a bare pytest.
 QUICK := --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 \
   --xla_cpu_use_fusion_emitters=false
@@ -88,7 +91,7 @@ test: $(STAMP)
 
 # The legs: what a user does, from a raw export to every output, and the tests of whatever leans on
 # an optional dependency. Deprecations are errors on the newest versions; the oldest have their own.
-SMOKE := tests/smoke tests/test_export.py tests/data/test_formats.py tests/test_habitat.py::test_water_of_a_raster \
+SMOKE := tests/smoke tests/export/test_export.py tests/readers/test_formats.py tests/world/test_habitat.py::test_water_of_a_raster \
   tests/emitters/test_tracking.py tests/classical/test_kalman.py
 SMOKE_TOOLS := 'pytest>=8' 'hypothesis>=6.100'
 DEPRECATED := DeprecationWarning PendingDeprecationWarning FutureWarning
@@ -108,11 +111,11 @@ test-newest:
 	PYTHONWARNINGS=$(call joined,$(DEPRECATED:%=error::%)) $$new/bin/python -m pytest $(SMOKE); \
 	touch $$new/.passed
 
+# set up anew each time: what is installed already would not be taken down to its lower bound
 test-oldest:
-	@set -e; old=.venv-oldest; said=$$($(OLDEST_PYTHON) --version); \
-	if [ "$$($$old/bin/python --version 2>/dev/null)" != "$$said" ]; then \
-	  echo "setting up $$old with $$said"; $(OLDEST_PYTHON) -m venv --clear $$old; fi; \
-	rm -f $$old/.passed; \
+	@set -e; old=.venv-oldest; \
+	echo "setting up $$old with $$($(OLDEST_PYTHON) --version)"; \
+	$(OLDEST_PYTHON) -m venv --clear $$old; \
 	$$old/bin/python -m pip install --quiet --upgrade uv; \
 	VIRTUAL_ENV=$$old $$old/bin/uv pip install --quiet --resolution lowest-direct \
 	  --only-binary :all: --no-binary maloc -e '.[all]' $(SMOKE_TOOLS); \
@@ -134,6 +137,15 @@ demo: $(CORE)
 	@echo "demo/track      the track from raw detections, clocks synchronised on the way: track.csv,"
 	@echo "                arrivals.csv, parameters.csv, posterior.nc, map.png, diagnostics.png"
 
+$(SITE): $(STAMP)
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt -e '.[docs]'
+	@touch $(SITE)
+
+# Executed cells call maloc by its name; nothing is fetched, and a warning is an error.
+docs: $(SITE)
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m sphinx -W --keep-going -q docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
 clean:
-	rm -rf $(VENV) .venv-newest .venv-oldest build dist demo .cache .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf $(VENV) docs/_build docs/_generated .venv-newest .venv-oldest build dist demo .cache .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

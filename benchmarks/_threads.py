@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from maloc._threads import ONE_THREAD
+from maloc.runs.threads import ONE_THREAD
 
 # tables are read by all threads, as users' are, and a graphics card serves where there is one
 _FREE = "POLARS_MAX_THREADS", "JAX_PLATFORMS"

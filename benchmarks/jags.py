@@ -104,7 +104,7 @@ def jags_data(history: EncounterHistory) -> str:
 
 def jags_start(history: EncounterHistory, seed: int) -> str:
     """Start: middles of the receivers that heard, and sizes near the simulation's."""
-    from maloc.data._encounter_states import middles
+    from maloc.model_data.states import middles
 
     rng = np.random.default_rng(seed)
     noisy = middles(history) + rng.normal(0, 0.05, (len(history), 2))

@@ -20,7 +20,7 @@ import polars as pl
 START = 1_622_548_800_000  # ms
 _READ = """
 import json, resource, sys, time
-import maloc.data.readers._recognise, maloc.data.detections
+import maloc.readers._recognise, maloc.data.detections
 from maloc.data import read_detections
 began, busy = time.perf_counter(), time.process_time()
 found = read_detections(sys.argv[1])

@@ -25,7 +25,7 @@ import polars as pl
 
 import maloc
 from maloc._jax import jax
-from maloc._tags_run import Job, run_each
+from maloc.runs.tags import Job, run_each
 from maloc.simulate import canal_toa
 
 LAW = ("sigma_vel", "t05")

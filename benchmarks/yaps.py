@@ -22,6 +22,7 @@ import polars as pl
 
 import maloc
 from benchmarks.tracks import Case, folder_cases
+from maloc.model_data import to_model_data
 
 _LOST = 1.5  # times the error of the same model's optimum here: YAPS has found another one
 
@@ -105,7 +106,7 @@ def main() -> None:
     peer = {row["file"].removesuffix(".csv"): row for row in table.iter_rows(named=True)}
     rows, compiled, spent = [], set(), 0.0
     for case in cases(given.folder, given.receivers, given.interval, given.interval_stable):
-        data = case.toa.to_model_data()
+        data = to_model_data(case.toa)
         if (shape := (data.schedule, data.range.shape)) not in compiled:
             compiled.add(shape)
             spent += fit_case(case, peer[case.name]).cpu

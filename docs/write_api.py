@@ -13,7 +13,7 @@ from pathlib import Path
 import maloc
 
 # Reached through the packages above them: readers through maloc.data, the command line in cli.md.
-ELSEWHERE = {"maloc.cli", "maloc.data.readers"}
+ELSEWHERE = {"maloc.cli", "maloc.readers"}
 HEAD = """# Python names
 
 Every public name, by the module to import it from; docstrings have shapes, units and errors.
@@ -22,12 +22,16 @@ This page is written by `docs/write_api.py`.
 
 
 def modules() -> list[str]:
-    """Return ``maloc``, its public packages and its public top-level modules."""
-    found = ["maloc"]
+    """Return ``maloc``, its public packages and modules, and the modules that these hand on."""
+    found = {"maloc"}
     for info in pkgutil.walk_packages(maloc.__path__, "maloc."):
         private = any(part.startswith("_") for part in info.name.split("."))
         if not private and (info.ispkg or info.name.count(".") == 1):
-            found.append(info.name)
+            found.add(info.name)
+    for name in sorted(found - ELSEWHERE):
+        package = importlib.import_module(name)
+        handed = [getattr(package, n) for n in getattr(package, "__all__", [])]
+        found |= {m.__name__ for m in handed if inspect.ismodule(m)}
     return [m for m in sorted(found) if m not in ELSEWHERE]
 
 

@@ -5,7 +5,7 @@
 # What happens: Dask sets MALLOC_TRIM_THRESHOLD_=65536 for its workers to give memory back. In
 # glibc setting it also switches off the growing of the threshold from which a block is mapped on
 # its own: every temporary array above 128 KiB is mapped, faulted in and unmapped again. Adding
-# and multiplying arrays of 160 KB takes 4 to 9 times the CPU time; arrays of 64 KB are as fast.
+# and multiplying arrays of 160 KB takes some 9 times the CPU time; arrays of 64 KB are as fast.
 # Without the entry of `distributed.nanny.pre-spawn-environ` (as below) workers are as fast.
 # Versions: dask and distributed 2026.8.0, numpy 2.4.6, glibc 2.36. Seen on 30 November 2026.
 # Who is hurt: many tags are fitted in parallel, one a worker, with arrays of just this size

@@ -8,31 +8,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from maloc._package.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from maloc import (
         arrival,
         biology,
         classical,
         detection,
-        drift,
         emitters,
         errors,
         evaluate,
         export,
-        habitat,
         infer,
-        intervals,
-        medium,
         models,
         movement,
         plots,
         points,
         predict,
-        rangetest,
-        renewal,
-        signal,
         simulate,
-        statespace,
         sync,
         tags,
     )
@@ -46,17 +40,20 @@ if TYPE_CHECKING:
         WaterColumn,
         arrival_history,
         encounter_history,
+        toa_matrix,
+    )
+    from maloc.detection import rangetest
+    from maloc.readers import (
         read_detections,
         read_events,
         read_positions,
         read_receivers,
         read_tags,
         read_toa,
-        toa_matrix,
     )
-    from maloc.data.check import check
-
-__version__ = "0.2.0"
+    from maloc.readers.check import check
+    from maloc.schedule import intervals, renewal, signal
+    from maloc.world import drift, habitat, medium, statespace
 
 __all__ = [
     "ArrivalHistory",
@@ -104,45 +101,54 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
+    from maloc._package import moved
+
+    moved.install()
     _SUBMODULES = frozenset(
         [
             "arrival",
             "biology",
             "classical",
             "detection",
-            "drift",
             "emitters",
             "errors",
             "evaluate",
             "export",
-            "habitat",
             "infer",
-            "intervals",
-            "medium",
             "models",
             "movement",
             "plots",
             "points",
             "predict",
-            "rangetest",
-            "renewal",
-            "signal",
             "simulate",
-            "statespace",
             "sync",
             "tags",
         ]
     )
+    # where a name stands that is no module or package of the root itself
+    _HOMES = {
+        "drift": "maloc.world",
+        "habitat": "maloc.world",
+        "intervals": "maloc.schedule",
+        "medium": "maloc.world",
+        "rangetest": "maloc.detection",
+        "renewal": "maloc.schedule",
+        "signal": "maloc.schedule",
+        "statespace": "maloc.world",
+    }
 
     def __getattr__(name: str):
-        """Import a submodule, or a name of ``maloc.data``, on first use."""
+        """Import a module, or a name that another package offers, on first use."""
         if name not in __all__:
             raise AttributeError(f"module 'maloc' has no attribute {name!r}")
         from importlib import import_module
 
+        if name in _HOMES:
+            return import_module(f"{_HOMES[name]}.{name}")
         if name in _SUBMODULES:
             return import_module(f"maloc.{name}")
-        home = "maloc.data.check" if name == "check" else "maloc.data"
+        home = "maloc.readers" if name.startswith("read_") else "maloc.data"
+        home = "maloc.readers.check" if name == "check" else home
         value = getattr(import_module(home), name)
         globals()[name] = value
         return value

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc._limits import Z95
+from maloc.data._limits import Z95
 from maloc.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,10 +101,10 @@ def _read(file: Path) -> list[StoredTrack]:
     import xarray as xr
 
     from maloc import movement
-    from maloc.depth import DepthPath
     from maloc.infer._bridge import PathDraws
     from maloc.infer._depths import DepthDraws
     from maloc.infer._paths import in_order
+    from maloc.world.depth import DepthPath
 
     def group(name: str | None):
         with xr.open_dataset(file, group=name, engine="h5netcdf") as found:
@@ -170,7 +170,7 @@ def _stored_water(file: Path):
     with h5netcdf.File(file, "r") as stored:
         if "water" not in stored.groups:
             return None
-    from maloc.habitat import Water
+    from maloc.world.habitat import Water
 
     with xr.open_dataset(file, group="water", engine="h5netcdf") as found:
         parts = {str(name): np.asarray(value.values) for name, value in found.items()}
@@ -186,7 +186,7 @@ def _stored_depth(file: Path):
     with h5netcdf.File(file, "r") as stored:
         if "depth" not in stored.groups:
             return None
-    from maloc.data.depth_data import DepthData
+    from maloc.world.depth_data import DepthData
 
     with xr.open_dataset(file, group="depth", engine="h5netcdf") as found:
         parts: dict[str, Any] = {str(name): np.asarray(v.values) for name, v in found.items()}

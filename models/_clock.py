@@ -8,7 +8,7 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
-from maloc.data.clock_pings import SPEED
+from maloc.model_data.clock_pings import SPEED
 
 __all__ = ["constants", "travel"]
 

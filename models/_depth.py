@@ -7,7 +7,7 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jnp
-from maloc.depth import DepthPath, PressureSensor, bottom_at, depth_of
+from maloc.world.depth import DepthPath, PressureSensor, bottom_at, depth_of
 
 __all__ = ["DIMS", "UNITS", "depth", "slanted"]
 

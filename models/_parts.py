@@ -14,9 +14,9 @@ import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
 from maloc.detection import KINDS, encounters, linear_shift
-from maloc.drift import GaussMarkov
 from maloc.movement import CTCRW, OU, Brownian
-from maloc.statespace import SoftBox
+from maloc.world.drift import GaussMarkov
+from maloc.world.statespace import SoftBox
 
 __all__ = [
     "DIMS",
@@ -192,7 +192,7 @@ class MissedPings(dist.Distribution):
     pytree_data_fields = ("gaps", "log_q", "log_density")
 
     def __init__(self, gaps, log_q, *, validate_args=None) -> None:
-        from maloc.renewal import gap_log_likelihood
+        from maloc.schedule.renewal import gap_log_likelihood
 
         self.gaps, self.log_q = gaps, log_q
         self.log_density = gap_log_likelihood(gaps, log_q)
@@ -204,7 +204,7 @@ class MissedPings(dist.Distribution):
 
     def local_log_prob(self, value, here):
         """The surrogate around ``here``: expected misses times log q, (S,)."""
-        from maloc.renewal import gap_log_likelihood
+        from maloc.schedule.renewal import gap_log_likelihood
 
         expected = jax.grad(lambda log_q: gap_log_likelihood(here.gaps, log_q).sum())(here.log_q)
         return expected * self.log_q

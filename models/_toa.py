@@ -10,9 +10,9 @@ import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
 from maloc.arrival import DDetect, Gaussian, GaussianStudent, Student
-from maloc.drift import GaussMarkov, IntervalDrift, interval_step
 from maloc.models._parts import home_range
 from maloc.movement import CTCRW, Brownian
+from maloc.world.drift import GaussMarkov, IntervalDrift, interval_step
 
 __all__ = [
     "DIMS",

@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpyro
 import numpyro.distributions as dist
 
-from maloc._clock_walk import ClockWalk
 from maloc._jax import jnp
 from maloc.arrival import DDetect, Gaussian
-from maloc.data.clock_pings import as_clock_pings
+from maloc.model_data.clock_pings import as_clock_pings
 from maloc.models import _clock, _toa
+from maloc.world.clock_walk import ClockWalk
 
 __all__ = ["ALONG", "DIMS", "UNITS", "clock_sync"]
 
@@ -52,7 +52,7 @@ def clock_sync(sync, *, error="ddetect", sound_speed="auto", noise="estimated", 
     -----
     Sites: ``clock`` (K, 2, C) ms and ms/h and ``emission`` (K, M) ms, departures from the
     ClockSync; ``shift`` (D, 2) m, from the table; ``jump`` (J,) ms, departures. ``offset`` (K, C) s
-    is the clocks' offset at the knots, without jumps. See `maloc.data.clock_pings`.
+    is the clocks' offset at the knots, without jumps. See `maloc.model_data.clock_pings`.
 
     References
     ----------

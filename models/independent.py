@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpyro
 
 from maloc._jax import jnp
-from maloc.data.encounter_data import as_encounter_data
 from maloc.detection import squared_distance
+from maloc.model_data.encounters import as_encounter_data
 from maloc.models import _parts
-from maloc.statespace import SoftBox
+from maloc.world.statespace import SoftBox
 
 __all__ = ["DIMS", "UNITS", "independent"]
 

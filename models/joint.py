@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpyro
 
-from maloc.data.joint_data import as_joint_data
 from maloc.data.joint_history import as_history
 from maloc.detection import KINDS, squared_distance
+from maloc.model_data.joint import as_joint_data
 from maloc.models import _depth, _parts, _toa
 
 __all__ = ["DIMS", "UNITS", "joint"]

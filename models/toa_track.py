@@ -13,7 +13,7 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jnp
-from maloc.data.model_data import as_toa_data
+from maloc.model_data.toa import as_toa_data
 from maloc.models import _depth, _toa
 
 __all__ = ["DIMS", "UNITS", "toa_track"]

@@ -9,9 +9,9 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jnp
-from maloc.data.model_data import as_toa_data
-from maloc.drift import IntervalDrift, RandomWalk, interval_step
+from maloc.model_data.toa import as_toa_data
 from maloc.models import _depth, _toa
+from maloc.world.drift import IntervalDrift, RandomWalk, interval_step
 
 __all__ = ["DIMS", "UNITS", "yaps"]
 

@@ -1,7 +1,7 @@
 """The thesis's simulation study in a canal: ``python -m simulations.canal --tracks 20``.
 
 The same as ``maloc study canal``, whose options it takes (``--help`` lists them). The simulator is
-`maloc.simulate.canal`; cases, methods, scores and tables are in `maloc._canal` and beside it.
+`maloc.simulate.canal`; cases, methods, scores and tables are in `maloc.studies.canal`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The study of Hostetter & Royle (2020): ``python -m simulations.hostetter_royle --datasets 20``.
 
 The same as ``maloc study hostetter-royle``, whose options it takes (``--help`` lists them). The
-simulator is `maloc.simulate.hostetter_royle`, jobs and scores are in `maloc._study`.
+simulator is `maloc.simulate.hostetter_royle`, jobs and scores are in
+`maloc.studies.hostetter_royle`.
 """
 
 from __future__ import annotations

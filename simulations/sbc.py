@@ -30,10 +30,12 @@ from scipy.stats import chi2
 
 import maloc.infer
 from maloc._jax import jax, jnp
-from maloc.data import ArrivalTimes, Receivers
-from maloc.data.model_data import ToaData
+from maloc.data import ArrivalTimes
 from maloc.infer.result import SampledFit
+from maloc.model_data import to_model_data
+from maloc.model_data.toa import ToaData
 from maloc.models import toa_track
+from maloc.readers import read_receivers
 
 DRAWS = 99  # thinned draws a fit: ranks 0..99 fall into 10 bins of 10
 BINS = 10
@@ -95,11 +97,11 @@ def design(pings: int = 24, step: float = 30.0, spread: float = 100.0) -> ToaDat
     """Eight receivers around a reach of river; every ping is heard by all of them."""
     x, y = np.meshgrid([-105.0, -38.0, 31.0, 110.0], [-62.0, 55.0])
     xy = np.column_stack([x.ravel(), y.ravel()]) + 7 * np.sin(np.arange(16.0)).reshape(8, 2)
-    receivers = Receivers.from_frame(
+    receivers = read_receivers(
         {"receiver": [f"R{i}" for i in range(8)], "x": xy[:, 0], "y": xy[:, 1]}
     )
     reference = np.broadcast_to(step * np.arange(pings)[:, None], (pings, 8))
-    data = ArrivalTimes(reference, receivers, sound_speed=np.asarray(1500.0)).to_model_data(False)
+    data = to_model_data(ArrivalTimes(reference, receivers, sound_speed=np.asarray(1500.0)), False)
     near = {"centre": jnp.zeros(2), "spread": jnp.asarray(spread), "phi": jnp.asarray(150.0)}
     return dataclasses.replace(data, **near)
 

@@ -28,6 +28,7 @@ import maloc.infer
 import maloc.models
 from maloc._jax import jax
 from maloc.data import EncounterHistory, Receivers, Schedule
+from maloc.model_data import to_model_data
 from simulations import sbc
 
 MODELS = ("independent", "detection_only", "known_interval", "unknown_interval")
@@ -85,7 +86,7 @@ def given_pings(model: str) -> EncounterHistory:
 def draw_given(key, name: str, model) -> tuple[dict, EncounterHistory, int]:
     """Truth, data, and how many pings nobody heard; from the model's own joint density."""
     design = given_pings(name)
-    truth, heard = sbc.draw_truth(key, model, design.to_model_data(pad=False), "encounter")
+    truth, heard = sbc.draw_truth(key, model, to_model_data(design, pad=False), "encounter")
     history = design.replace(heard=np.asarray(heard))
     return truth, history, int((history.n_heard == 0).sum())
 

@@ -22,7 +22,8 @@ import numpyro.distributions as dist
 import maloc.infer
 from maloc._jax import jax, jnp
 from maloc.data import ArrivalTimes, arrival_history
-from maloc.data.joint_data import JointData
+from maloc.model_data import to_model_data
+from maloc.model_data.joint import JointData
 from maloc.models import joint
 from simulations import sbc
 
@@ -50,7 +51,7 @@ def design(silence: str) -> JointData:
     receivers = Receivers(np.array([f"R{i}" for i in range(len(xy))]), xy[:, 0], xy[:, 1])
     reference = np.asarray(base.time)[:, None] + np.zeros(len(xy))
     toa = ArrivalTimes(reference, receivers, sound_speed=np.asarray(1500.0))
-    data = arrival_history(toa, known=silence == "given").to_model_data(pad=False)
+    data = to_model_data(arrival_history(toa, known=silence == "given"), pad=False)
     near = {"centre": base.centre, "spread": 0.5 * base.spread, "phi": base.phi}
     return dataclasses.replace(data, **near)
 

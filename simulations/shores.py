@@ -16,10 +16,10 @@ import shapely
 
 from maloc import infer
 from maloc.data import ArrivalTimes, Receivers, Schedule
-from maloc.habitat import water
 from maloc.models import toa_track
 from maloc.simulate import arrays
 from maloc.simulate.animals import correlated_walk
+from maloc.world.habitat import water
 
 SIGMA, LATE, SPEED = 1.4e-3, 0.06, 1480.0
 SCHEDULE = Schedule("random", 20.6, 36.6)

@@ -1,9 +1,9 @@
 """Table C.1 of the thesis and its classical columns: ``python -m simulations.thesis_table``.
 
-The canal study (`maloc._canal`) with the fish kept to the canal between its receivers, as the
-thesis's "remained close to the array": least squares, the three outlier filters after it, Kalman
-filter and smoother after those, EK-TOA, `toa_track` and `maloc.models.yaps`, cell by cell, beside
-the thesis's values.
+The canal study (`maloc.studies.canal`) with the fish kept to the canal between its receivers, as
+the thesis's "remained close to the array": least squares, the three outlier filters after it,
+Kalman filter and smoother after those, EK-TOA, `toa_track` and `maloc.models.yaps`, cell by cell,
+beside the thesis's values.
 Where the set-ups differ, and what that does, is in docs/classical.md.
 """
 
@@ -14,12 +14,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from maloc._canal import Settings, run_canal
-from maloc._canal_cases import own_cases
-from maloc._canal_tables import mean_of
-from maloc._canal_thesis import STEPS_C1, TABLE_C1
 from maloc.errors import InputError
 from maloc.simulate.canal import CanalDesign
+from maloc.studies.canal.cases import own_cases
+from maloc.studies.canal.study import Settings, run_canal
+from maloc.studies.canal.tables import mean_of
+from maloc.studies.canal.thesis import STEPS_C1, TABLE_C1
 
 if TYPE_CHECKING:
     import polars as pl
@@ -36,7 +36,7 @@ def tables(results: pl.DataFrame, base: str) -> str:
     Parameters
     ----------
     results : DataFrame
-        What `maloc._canal.run_canal` returns, of the methods in `OURS`.
+        What `maloc.studies.canal.study.run_canal` returns, of the methods in `OURS`.
     base : {"ls", "de"}
         Where the positions come from.
     """

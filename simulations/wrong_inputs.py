@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from maloc._threads import one_thread
 from maloc.data import ArrivalTimes, Receivers, Schedule
+from maloc.runs.threads import one_thread
 from maloc.simulate.animals import correlated_walk
 from maloc.simulate.arrays import canal
 from maloc.simulate.hearing import Hearing, hear

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # One thread a worker: the workers share the cores, and sums come out the same everywhere.
 sys.path.insert(0, str(ROOT))
-from maloc._threads import ONE_THREAD  # noqa: E402
+from maloc.runs.threads import ONE_THREAD  # noqa: E402
 
 for _name, _value in ONE_THREAD.items():
     os.environ.setdefault(_name, _value)

@@ -73,7 +73,7 @@ def test_the_sdist_holds_what_builds_it(dist):
     with tarfile.open(sdist) as archive:
         held = {n.partition("/")[2] for n in archive.getnames()}
     assert {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff"} <= held
-    assert {"models/toa_track.py", "maloc/py.typed", "maloc/cli.py"} <= held
+    assert {"models/toa_track.py", "maloc/py.typed", "maloc/cli/commands.py"} <= held
 
 
 @pytest.mark.extended

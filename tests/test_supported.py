@@ -11,9 +11,10 @@ from importlib import metadata
 import pytest
 import typer
 from packaging.specifiers import SpecifierSet
+from packaging.version import Version
 
-from maloc._cli_errors import explained
-from maloc._supported import SUPPORTED, outside, warn_outside
+from maloc._package.version import SUPPORTED, outside, warn_outside
+from maloc.cli.errors import explained
 from maloc.errors import MalocWarning
 
 FAKE = """
@@ -112,3 +113,24 @@ def test_a_command_warns_once(tmp_path):
     said = python(f"import sys, maloc.cli\nsys.argv = {args}\nmaloc.cli.main()")
     assert said.count("maloc: warning: numpyro 1.9.3 is outside the range") == 1
     assert "Traceback" not in said and "MalocWarning" not in said
+
+
+def test_the_bounds_are_what_was_run(root_dir):
+    """The oldest leg ran every lower bound, and the ranges hold all of docs/versions.md."""
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in (root_dir / "docs" / "versions.md").read_text().splitlines()
+        if line.startswith("| ")
+    ]
+    run = {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[1:]}
+    project = tomllib.loads((root_dir / "pyproject.toml").read_text())["project"]
+    extras = [
+        e for n, e in project["optional-dependencies"].items() if n not in ("all", "docs", "test")
+    ]
+    for asked in [*project["dependencies"], *(a for extra in extras for a in extra)]:
+        name, lower = asked.split(">=")
+        oldest = Version(run[name]["oldest, 3.11"])
+        assert oldest.release[: len(Version(lower).release)] == Version(lower).release, name
+    for name, supported in SUPPORTED.items():
+        for leg, version in run[name].items():
+            assert SpecifierSet(supported).contains(version), f"{name} {version} of {leg}"

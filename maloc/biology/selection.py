@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from maloc._limits import Z95
+from maloc.data._limits import Z95
 from maloc.errors import FitError, InputError
 
 __all__ = ["Selection", "resource_selection"]

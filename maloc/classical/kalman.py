@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from maloc._optional import needs
 from maloc.classical._steps import LAWS, Law, steps
-from maloc.errors import FitError, InputError, MalocWarning
+from maloc.errors import FitError, InputError, MalocWarning, needs
 
 if TYPE_CHECKING:
     import polars as pl

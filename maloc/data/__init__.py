@@ -1,14 +1,21 @@
-"""Data at the edge: validated containers, readers, grouping into pings, and checks.
+"""Data: validated containers, and the grouping of detections into pings.
 
-Nothing here needs JAX; polars is imported only when a table is read or written.
+Nothing here needs JAX; polars is imported only when a table is made or read.
+
+Comes in: arrays.
+Goes out: containers that checked themselves once and never change, and one container made of
+    another: `preparation.py` and `grouping.py` (detections to pings), `encounter_grouping.py`.
+Start reading: `detections.py`, `receivers.py`, `arrivals.py`. Knows no file format and no model.
+The page: docs/architecture.md, "Data to arrival times".
 """
 
 from typing import TYPE_CHECKING, Any
 
+from maloc._package import moved
+
 __all__ = [
     "ArrivalHistory",
     "ArrivalTimes",
-    "CheckReport",
     "ClockReferences",
     "Detections",
     "EncounterHistory",
@@ -28,12 +35,6 @@ __all__ = [
     "encounter_history",
     "match_tag",
     "prepare",
-    "read_detections",
-    "read_events",
-    "read_positions",
-    "read_receivers",
-    "read_tags",
-    "read_toa",
     "sensor_values",
     "toa_matrix",
 ]
@@ -41,7 +42,6 @@ __all__ = [
 _HOME = {
     "ArrivalHistory": "joint_history",
     "ArrivalTimes": "arrivals",
-    "CheckReport": "check",
     "ClockReferences": "events",
     "Detections": "detections",
     "EncounterHistory": "encounters",
@@ -61,12 +61,6 @@ _HOME = {
     "encounter_history": "encounter_grouping",
     "match_tag": "_tags",
     "prepare": "preparation",
-    "read_detections": "readers",
-    "read_events": "readers",
-    "read_positions": "readers",
-    "read_receivers": "readers",
-    "read_tags": "readers",
-    "read_toa": "readers",
     "sensor_values": "tags",
     "toa_matrix": "grouping",
 }
@@ -74,7 +68,6 @@ _HOME = {
 if TYPE_CHECKING:
     from maloc.data._tags import match_tag
     from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
-    from maloc.data.check import CheckReport
     from maloc.data.detections import Detections
     from maloc.data.encounter_grouping import encounter_history
     from maloc.data.encounters import EncounterHistory
@@ -83,14 +76,6 @@ if TYPE_CHECKING:
     from maloc.data.joint_history import ArrivalHistory, arrival_history
     from maloc.data.positions import Positions
     from maloc.data.preparation import Prepared, prepare
-    from maloc.data.readers import (
-        read_detections,
-        read_events,
-        read_positions,
-        read_receivers,
-        read_tags,
-        read_toa,
-    )
     from maloc.data.receivers import Receivers, collinear
     from maloc.data.report import Note, ReadReport
     from maloc.data.tags import Tags, sensor_values
@@ -100,7 +85,7 @@ else:
     def __getattr__(name: str) -> Any:
         """Import a public name when it is first asked for (PEP 562)."""
         if name not in _HOME:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            return moved.name_of(__name__, name)
         from importlib import import_module
 
         value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -11,7 +11,6 @@ import numpy as np
 from maloc.data._encounter_pings import travel_slack
 from maloc.data._time import NS
 from maloc.data.arrivals import ArrivalTimes, SetAside
-from maloc.data.encounters import EncounterHistory
 from maloc.data.report import Note, ReadReport
 from maloc.errors import InputError
 
@@ -20,8 +19,8 @@ __all__ = ["history_of"]
 
 def history_of(
     toas: Sequence[ArrivalTimes], known: bool | None, fields: dict[str, Any]
-) -> EncounterHistory:
-    """What `EncounterHistory.from_arrivals` returns."""
+) -> dict[str, Any]:
+    """Fields of what `EncounterHistory.from_arrivals` returns."""
     heard = [t for t in toas if t.heard.any()]
     if not heard:
         raise InputError("no ping was heard")
@@ -53,17 +52,17 @@ def history_of(
         np.concatenate([p.detection for p in parts]),
         np.concatenate([p.why for p in parts]),
     )
-    defaults = {"slack": travel_slack(one.xy[who.any(axis=0)])}
-    return EncounterHistory(
-        np.concatenate([t.first + s for t, s in zip(heard, later, strict=True)]),
-        np.repeat(np.arange(len(heard)), [len(t) for t in heard]),
-        who,
-        one,
-        tuple(t.tag or f"track {i + 1}" for i, t in enumerate(heard)),
-        known=known,
-        origin=zero,
-        detection=detection,
-        set_aside=aside,
-        report=ReadReport.merge(t.report for t in heard).add(*silent),
-        **{**defaults, **fields},
-    )
+    return {
+        "time": np.concatenate([t.first + s for t, s in zip(heard, later, strict=True)]),
+        "tag": np.repeat(np.arange(len(heard)), [len(t) for t in heard]),
+        "heard": who,
+        "receivers": one,
+        "tags": tuple(t.tag or f"track {i + 1}" for i, t in enumerate(heard)),
+        "known": known,
+        "origin": zero,
+        "detection": detection,
+        "set_aside": aside,
+        "report": ReadReport.merge(t.report for t in heard).add(*silent),
+        "slack": travel_slack(one.xy[who.any(axis=0)]),
+        **fields,
+    }

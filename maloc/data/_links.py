@@ -9,7 +9,15 @@ import numpy as np
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import InputError
 
-__all__ = ["Links", "find_phase", "insert_unheard", "links_of", "sequence_counts", "stable_counts"]
+__all__ = [
+    "Links",
+    "count_intervals",
+    "find_phase",
+    "insert_unheard",
+    "links_of",
+    "sequence_counts",
+    "stable_counts",
+]
 
 _LOOSE = 0.25  # of an interval: further from a whole number, a gap counts no intervals
 _DRIFT = 1e-3  # relative; tags' clocks are better
@@ -143,3 +151,17 @@ def links_of(toa: ArrivalTimes, schedule: Schedule) -> Links:
     rows = np.flatnonzero(toa.n_heard > 0)
     per = np.diff(toa.first[rows]) / np.diff(rows)
     return Links(n, np.full(len(n), float(np.median(per)) if len(per) else schedule.lo))
+
+
+def count_intervals(first: np.ndarray, kind: str, lo: float, hi: float, slack: float) -> np.ndarray:
+    """Burst intervals in each gap where the limits leave one answer, else 0."""
+    gaps = np.diff(first)
+    if kind == "stable":
+        n = np.rint(gaps / lo)
+        fits = np.abs(gaps - n * lo) < np.maximum(0.25 * lo, 5 * hi)
+        return np.where(fits & (n >= 1), n, 0.0)
+    if kind == "random":
+        least = np.ceil((gaps - slack) / hi)
+        most = np.floor((gaps + slack) / lo)
+        return np.where((least == most) & (least >= 1), least, 0.0)
+    return np.zeros_like(gaps)

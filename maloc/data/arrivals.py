@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._time import duration, iso
 from maloc.data.receivers import Receivers
@@ -267,10 +268,9 @@ class ArrivalTimes:
         return _replace(self, **changes)
 
     def to_model_data(self, pad: bool = True) -> Any:
-        """Return the arrays that models take (`maloc.data.model_data.ToaData`), padded or not."""
-        from maloc.data.model_data import to_model_data
-
-        return to_model_data(self, pad=pad)
+        """Go with the next release: `maloc.model_data.to_model_data` does this."""
+        name = "ArrivalTimes.to_model_data"
+        return moved.call(name, "maloc.model_data", "to_model_data", self, pad)
 
     @classmethod
     def from_frame(
@@ -283,22 +283,17 @@ class ArrivalTimes:
         sound_speed: float | None = None,
         schedule: Schedule | None = None,
     ) -> ArrivalTimes:
-        """Build from a wide dataframe: one row a ping, one column a receiver (`maloc.read_toa`).
-
-        Raises
-        ------
-        InputError
-            As `maloc.read_toa`.
-        """
-        from maloc.data.readers.toa import toa_from_frame
-
-        return toa_from_frame(
-            _arrays.frame(data),
+        """Go with the next release: `maloc.read_toa` takes a wide dataframe too."""
+        return moved.call(
+            "ArrivalTimes.from_frame",
+            "maloc.readers",
+            "read_toa",
+            data,
             receivers,
             origin=origin,
             ignore_columns=ignore_columns,
             sound_speed=sound_speed,
-            schedule=schedule or Schedule(),
+            schedule=schedule,
         )
 
     def to_frame(self) -> pl.DataFrame:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._tags import match_tag
 from maloc.data._time import NS, duration, iso
@@ -125,7 +126,7 @@ class Detections:
     def from_frame(cls, data: Any, report: ReadReport | None = None) -> Detections:
         """Build from a dataframe with columns time (datetime or ns), receiver, tag, and others.
 
-        Any other layout that `maloc.read_detections` knows, and times as text, are read as there.
+        Times as text, and other layouts, are for `maloc.read_detections`, which takes dataframes.
 
         Raises
         ------
@@ -137,9 +138,8 @@ class Detections:
         df = _arrays.frame(data)
         whole = {"time", "receiver", "tag"} <= set(df.columns)
         if not whole or df["time"].dtype == pl.String:
-            from maloc.data.readers._recognise import read_frame
-
-            return read_frame(df)
+            name = "Detections.from_frame of another layout"
+            return moved.call(name, "maloc.readers", "read_detections", df)
         for name in ("time", "receiver", "tag"):
             if df[name].null_count():
                 raise InputError(f"{df[name].null_count()} missing values", column=name)

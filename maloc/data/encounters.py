@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as _replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from maloc._package import moved
 from maloc.data import _arrays
+from maloc.data._encounter_arrivals import history_of
 from maloc.data._time import OPEN_END, OPEN_START, duration, iso
 from maloc.data.arrivals import ArrivalTimes, Schedule, SetAside
 from maloc.data.receivers import Receivers
 from maloc.data.report import ReadReport
 from maloc.errors import InputError
-
-if TYPE_CHECKING:
-    from maloc.data.encounter_data import EncounterData
 
 __all__ = ["Covariate", "EncounterHistory"]
 
@@ -247,9 +246,8 @@ class EncounterHistory:
         InputError
             If no ping was heard, receivers differ, or schedules do.
         """
-        from maloc.data._encounter_arrivals import history_of
-
-        return history_of([toas] if isinstance(toas, ArrivalTimes) else list(toas), known, fields)
+        given = [toas] if isinstance(toas, ArrivalTimes) else list(toas)
+        return cls(**history_of(given, known, fields))
 
     def replace(self, **changes: Any) -> EncounterHistory:
         """Return a copy with some fields changed, checked again."""
@@ -295,6 +293,20 @@ class EncounterHistory:
             },
         )
 
+    def middles(self) -> np.ndarray:
+        """Return the middle of the receivers that heard each ping, (P, 2) m; linear in between."""
+        out = np.empty((len(self), 2))
+        out[:] = self.receivers.xy.mean(axis=0)
+        n = self.n_heard
+        middle = self.heard @ self.receivers.xy / np.maximum(n, 1)[:, None]
+        for i, j in zip(self.first_rows, self.last_rows + 1, strict=True):
+            rows = i + np.flatnonzero(n[i:j])
+            if len(rows):
+                for axis in (0, 1):
+                    at = np.interp(self.time[i:j], self.time[rows], middle[rows, axis])
+                    out[i:j, axis] = at
+        return np.clip(out, self.low, self.high)
+
     def prune(self, positions: np.ndarray | None = None, *, reach: float) -> EncounterHistory:
         """Return a history that considers at each state only receivers within reach.
 
@@ -306,7 +318,7 @@ class EncounterHistory:
         positions : array (P, 2), optional
             Rough position at each ping, m; the middle of the receivers that heard it by default.
         reach : float
-            m. Choose it so that `prune_bound` is small, .01 say.
+            m. Choose it so that `maloc.model_data.prune_bound` is small, .01 say.
 
         Raises
         ------
@@ -315,60 +327,18 @@ class EncounterHistory:
         """
         if not (np.isfinite(reach) and reach > 0):
             raise InputError(f"a reach of {reach:g} m is not positive")
-        from maloc.data._encounter_states import middles
-
-        near = middles(self) if positions is None else positions
+        near = self.middles() if positions is None else positions
         return self.replace(near=near, reach=float(reach))
 
-    def prune_bound(
-        self,
-        scale: float,
-        p0: float = 1.0,
-        margin: float = 0.0,
-        curve: Callable[[np.ndarray], np.ndarray] | None = None,
-    ) -> float:
-        """Return the most that pruning can change the log likelihood by.
+    def prune_bound(self, *args: Any, **options: Any) -> float:
+        """Go with the next release: `maloc.model_data.prune_bound` does this."""
+        name = "EncounterHistory.prune_bound"
+        return moved.call(name, "maloc.model_data", "prune_bound", self, *args, **options)
 
-        A receiver left out at distance d >= reach and not heard adds log(1 - p(d)) to a ping's log
-        likelihood; with whole-ping loss, log(pi + (1 - pi) prod (1 - p)) changes by no more. If
-        the path stays within `margin` of the positions pruned by and p falls with distance, then
-
-            |error| <= sum over pings of e + sum over gaps of n max e,
-            e(state) = sum over receivers left out of -log(1 - p(d - margin)),
-
-        n the most pings the gap can hold, e taken at its nodes: a gap's likelihood is a sum over
-        counts m <= n of integrals of m chances of silence, each changed by a factor exp(-e) at
-        most. (Poisson: n is the mean number of pings in the gap, by its closed form.)
-
-        Parameters
-        ----------
-        scale : float
-            Detection scale of the half-normal p0 exp(-d^2 / (2 scale^2)), m.
-        p0 : float
-            Its height.
-        margin : float
-            How far the path may be from the positions, m.
-        curve : callable, optional
-            Detection probability of distances (m), falling, instead of the half-normal.
-
-        Raises
-        ------
-        InputError
-            If the numbers are no detection function.
-        """
-        from maloc.data._encounter_prune import bound
-
-        return bound(self, scale, p0, margin, curve)
-
-    def to_model_data(self, pad: bool = True) -> EncounterData:
-        """Return the arrays that models take, padded or not.
-
-        Where the schedule is known but not every ping (`summed`), gaps get nodes at which the path
-        is needed, and `gaps` says how to sum the missed pings out.
-        """
-        from maloc.data.encounter_data import to_model_data
-
-        return to_model_data(self, pad)
+    def to_model_data(self, pad: bool = True) -> Any:
+        """Go with the next release: `maloc.model_data.to_model_data` does this."""
+        name = "EncounterHistory.to_model_data"
+        return moved.call(name, "maloc.model_data", "to_model_data", self, pad)
 
     def __repr__(self) -> str:
         n = len(self.tags)

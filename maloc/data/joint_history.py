@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from maloc._package import moved
 from maloc.data import _links
 from maloc.data._encounter_pings import travel_slack
 from maloc.data._links import Links
@@ -15,9 +16,6 @@ from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.data.encounters import EncounterHistory
 from maloc.data.water_column import WaterColumn
 from maloc.errors import InputError
-
-if TYPE_CHECKING:
-    from maloc.data.joint_data import JointData
 
 __all__ = ["ArrivalHistory", "arrival_history", "as_history"]
 
@@ -76,11 +74,10 @@ class ArrivalHistory:
         each = [np.full(len(t), np.nan) if t.depth is None else t.depth for t in self.toas]
         return np.concatenate(each)
 
-    def to_model_data(self, pad: bool = True) -> JointData:
-        """Return the arrays that the joint model takes, padded or not."""
-        from maloc.data.joint_data import to_model_data
-
-        return to_model_data(self, pad)
+    def to_model_data(self, pad: bool = True) -> Any:
+        """Go with the next release: `maloc.model_data.to_model_data` does this."""
+        name = "ArrivalHistory.to_model_data"
+        return moved.call(name, "maloc.model_data", "to_model_data", self, pad)
 
     def __repr__(self) -> str:
         return f"{self.encounters!r} with arrival times, silence {self.silence}".replace(
@@ -201,9 +198,9 @@ def _heard_only(toa: ArrivalTimes, rows: np.ndarray) -> ArrivalTimes:
 
 def _random_counts(encounters: EncounterHistory, schedule: Schedule) -> np.ndarray:
     """Intervals between rows where the limits leave one answer, else 0, (P - 1,)."""
-    from maloc.data.model_data import count_intervals
-
-    n = count_intervals(encounters.time, schedule.kind, schedule.lo, schedule.hi, encounters.slack)
+    n = _links.count_intervals(
+        encounters.time, schedule.kind, schedule.lo, schedule.hi, encounters.slack
+    )
     return np.where(np.diff(encounters.tag) == 0, n, 0.0)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._time import OPEN_END, OPEN_START, iso
 from maloc.data.report import ReadReport
@@ -183,16 +184,9 @@ class Receivers:
 
     @classmethod
     def from_frame(cls, data: Any, crs: str | None = None) -> Receivers:
-        """Build from a dataframe laid out as the receivers table (aliases are read too).
-
-        Raises
-        ------
-        InputError
-            As `maloc.read_receivers`.
-        """
-        from maloc.data.readers.receivers import receivers_from_frame
-
-        return receivers_from_frame(_arrays.frame(data), crs=crs)
+        """Go with the next release: `maloc.read_receivers` takes a dataframe too."""
+        name = "Receivers.from_frame"
+        return moved.call(name, "maloc.readers", "read_receivers", data, crs=crs)
 
     def to_frame(self) -> pl.DataFrame:
         """Return a polars DataFrame: receiver, x, y, depth, sync_tag, start, end (null = open)."""

@@ -101,7 +101,7 @@ class Settings:
 
 
 def _density(n: np.ndarray, gap: np.ndarray, schedule: Schedule) -> np.ndarray:
-    from maloc.signal import interval_sum_density
+    from maloc.schedule.signal import interval_sum_density
 
     return interval_sum_density(n, gap, schedule, slack=_SLACK)
 

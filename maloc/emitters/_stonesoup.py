@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc._optional import needs
+from maloc.errors import needs
 
 try:
     from stonesoup.dataassociator.neighbour import GNNWith2DAssignment

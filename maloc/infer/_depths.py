@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maloc.depth import bottom_at, depth_of
+from maloc.world.depth import bottom_at, depth_of
 
 __all__ = ["COLUMNS", "DepthDraws", "draw_depths", "expected_depths", "summed_up"]
 

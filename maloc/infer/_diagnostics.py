@@ -8,13 +8,14 @@ ArviZ is not; tests compare the two.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtri
 
 if TYPE_CHECKING:
-    from maloc.infer.result import Fit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["ess_bulk", "ess_tail", "parameter_rows", "parameter_text", "r_hat"]
 
@@ -96,7 +97,7 @@ def ess_tail(draws: np.ndarray) -> np.ndarray:
     return np.minimum(*both).reshape(draws.shape[2:])
 
 
-def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
+def parameter_rows(fit: Fitted) -> list[dict[str, Any]]:
     """Rows of parameters.csv."""
     units = getattr(inspect.getmodule(fit.cm.model), "UNITS", {})
     draws = fit.draws()
@@ -120,10 +121,10 @@ def parameter_rows(fit: Fit) -> list[dict[str, Any]]:
     return rows
 
 
-def parameter_text(fit: Fit) -> str:
+def parameter_text(rows: Sequence[dict[str, Any]]) -> str:
     """Parameters as aligned text."""
     lines = [f"{'':18}{'mean':>10}{'sd':>10}{'2.5 %':>10}{'97.5 %':>10}  unit"]
-    for row in fit.parameters():
+    for row in rows:
         numbers = "".join(f"{row[c]:>10.4g}" for c in ("mean", "sd", "q2.5", "q97.5"))
         lines.append(f"{row['name']:18}{numbers}  {row['unit']}")
     return "\n".join(lines)

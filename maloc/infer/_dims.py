@@ -11,7 +11,7 @@ import numpy as np
 
 from maloc.infer._model import ChainModel
 from maloc.movement import CTCRW, OU, Brownian
-from maloc.statespace import SoftBox
+from maloc.world.statespace import SoftBox
 
 __all__ = ["along", "cut", "dims_of", "units_of"]
 

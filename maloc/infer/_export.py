@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc.data.encounter_data import EncounterData
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
 from maloc.errors import InputError
 from maloc.infer import _replicate
 from maloc.infer._dims import units_of
 from maloc.infer._labels import Names, names_of, track_rows
 from maloc.infer._stored import depth_group, movement_group, water_group
+from maloc.model_data.encounters import EncounterData
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from maloc.infer.result import Fit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["to_datatree", "write_posterior"]
 
@@ -29,7 +29,7 @@ _DRAW = ("chain", "draw")
 
 
 def to_datatree(
-    fit: Fit,
+    fit: Fitted,
     *,
     log_likelihood: str = "ping",
     predictive: bool = False,
@@ -68,7 +68,7 @@ def to_datatree(
     return xr.DataTree.from_dict({"/": about, **{f"/{k}": v for k, v in groups.items()}})
 
 
-def _posterior(fit: Fit, names: Names) -> dict[str, xr.Dataset]:
+def _posterior(fit: Fitted, names: Names) -> dict[str, xr.Dataset]:
     """Draws at pings, parameters first; those at states between pings in a group of their own."""
     draws = fit.draws()
     parameters = fit.parameter_names
@@ -86,12 +86,12 @@ def _posterior(fit: Fit, names: Names) -> dict[str, xr.Dataset]:
     return groups
 
 
-def _by_value(fit: Fit, names: Names) -> dict[str, tuple]:
+def _by_value(fit: Fitted, names: Names) -> dict[str, tuple]:
     each = {"arrival": "detection"}
     return {k: ((*_DRAW, each.get(k, f"{k}_value")), v) for k, v in fit.pointwise().items()}
 
 
-def _by_ping(fit: Fit, names: Names) -> dict[str, tuple]:
+def _by_ping(fit: Fitted, names: Names) -> dict[str, tuple]:
     """Log density of all that is known of a ping; a gap's silence belongs to the ping after it.
 
     Data that run along nothing else than pings stay arrays of their own.
@@ -111,9 +111,9 @@ def _by_ping(fit: Fit, names: Names) -> dict[str, tuple]:
     return out if total is None else {f"by_{names.along}": ((*_DRAW, names.along), total), **out}
 
 
-def _ends(fit: Fit) -> list[int] | None:
+def _ends(fit: Fitted) -> list[int] | None:
     """The ping that ends each gap; that before it, where none does."""
-    from maloc.data._encounter_gaps import find_gaps
+    from maloc.model_data.gaps import find_gaps
 
     history = getattr(fit.source, "encounters", fit.source)
     if history is None:
@@ -121,7 +121,7 @@ def _ends(fit: Fit) -> list[int] | None:
     return [gap.before if gap.after < 0 else gap.after for gap in find_gaps(history)]
 
 
-def _value(fit: Fit, names: Names, name: str, value: np.ndarray, lead: int) -> tuple:
+def _value(fit: Fitted, names: Names, name: str, value: np.ndarray, lead: int) -> tuple:
     """Dimensions and values of data of one kind; arrivals those that were heard, in a row."""
     data, dims = fit.args[0] if fit.args else None, _DRAW[:lead]
     if name == "arrival" and isinstance(data, ToaData | JointData):
@@ -135,7 +135,7 @@ def _value(fit: Fit, names: Names, name: str, value: np.ndarray, lead: int) -> t
     return (*dims, names.along if along else "", *more[1:]) if along else (*dims, *more), value
 
 
-def _data(fit: Fit, names: Names) -> dict[str, xr.Dataset]:
+def _data(fit: Fitted, names: Names) -> dict[str, xr.Dataset]:
     """What was observed, and what was known beforehand."""
     data, n = fit.args[0] if fit.args else None, fit.n_states
     if not isinstance(data, ToaData | EncounterData | JointData):
@@ -169,7 +169,7 @@ def _data(fit: Fit, names: Names) -> dict[str, xr.Dataset]:
     return {"observed_data": names.dataset(observed), "constant_data": names.dataset(constant)}
 
 
-def _unheard(fit: Fit, names: Names) -> xr.Dataset | None:
+def _unheard(fit: Fitted, names: Names) -> xr.Dataset | None:
     """Rows of track.csv that are predictions: pings that nobody heard."""
     rows = track_rows(fit)
     if rows is None or not len(rows.unheard):
@@ -188,7 +188,7 @@ def _unheard(fit: Fit, names: Names) -> xr.Dataset | None:
 
 
 def write_posterior(
-    fit: Fit, path: Path, tags: Sequence[str], origin: int | None, crs: str | None
+    fit: Any, path: Path, tags: Sequence[str], origin: int | None, crs: str | None
 ) -> None:
     """Write ``posterior.nc``, with the tags' names, time 0 (ns since 1970 UTC) and the frame."""
     tree = fit.to_datatree()

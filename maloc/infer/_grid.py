@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from maloc.data.joint_data import JointData
+from maloc.model_data.joint import JointData
 
 __all__ = ["grid_paths"]
 

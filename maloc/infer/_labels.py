@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc.data.arrivals import ArrivalTimes
-from maloc.data.encounter_data import EncounterData
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
 from maloc.errors import FitError
 from maloc.infer import _paths, track
 from maloc.infer._dims import along
+from maloc.model_data.encounters import EncounterData
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from maloc.infer._fit import Fitted
     from maloc.infer._rows import Rows
-    from maloc.infer.result import Fit
 
 __all__ = ["Names", "names_of", "track_rows"]
 
@@ -76,9 +76,9 @@ class Names:
         return ns.astype("datetime64[ns]"), {}
 
 
-def names_of(fit: Fit) -> Names:
+def names_of(fit: Fitted) -> Names:
     """Names and coordinates of a fit's dimensions."""
-    from maloc import __version__
+    from maloc._package.version import __version__
 
     data, n = fit.args[0] if fit.args else None, fit.n_states
     attrs = {"inference_library": "maloc", "inference_library_version": __version__}
@@ -102,7 +102,7 @@ def names_of(fit: Fit) -> Names:
     return names
 
 
-def _pings(fit: Fit, data: Any, names: Names, tags: tuple[str, ...]) -> dict[str, tuple]:
+def _pings(fit: Fitted, data: Any, names: Names, tags: tuple[str, ...]) -> dict[str, tuple]:
     n, keep = fit.n_states, names.states
     heard = np.asarray(getattr(data, "encounters", data).heard)[:n][keep].any(axis=1)
     tag = np.zeros(len(heard), int) if isinstance(data, ToaData) else np.asarray(data.tag)[:n][keep]
@@ -123,7 +123,7 @@ def _pings(fit: Fit, data: Any, names: Names, tags: tuple[str, ...]) -> dict[str
     return out
 
 
-def _seconds(fit: Fit, data: Any) -> np.ndarray:
+def _seconds(fit: Fitted, data: Any) -> np.ndarray:
     """Mean emission time of each state, or its time where nothing tells an emission, s."""
     draws, n = fit.draws(), fit.n_states
     time = np.asarray(data.time)[:n]
@@ -133,7 +133,7 @@ def _seconds(fit: Fit, data: Any) -> np.ndarray:
     return np.where(told, draws["emission_time"].mean(axis=(0, 1)), time)
 
 
-def track_rows(fit: Fit) -> Rows | None:
+def track_rows(fit: Fitted) -> Rows | None:
     """Where pings stand in track.csv: as the table that was made has them, or as it would.
 
     None for a detection or joint model whose table was not made: that counts missed pings first.

@@ -8,24 +8,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from maloc._jax import jax
-from maloc._path import MarkovPath
-from maloc.data.encounter_data import EncounterData
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
-from maloc.depth import DepthPath
 from maloc.errors import FitError, InputError
 from maloc.infer._bridge import PathDraws
 from maloc.infer._depths import DepthDraws
 from maloc.infer._model import ChainModel, _unwrap
+from maloc.model_data.encounters import EncounterData
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 from maloc.movement import OU
+from maloc.movement.path import MarkovPath
+from maloc.world.depth import DepthPath
 
 if TYPE_CHECKING:
-    from maloc.infer.result import Fit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["in_order", "path_draws", "path_of", "path_site", "read_law", "states_of"]
 
 
-def path_draws(fit: Fit, tag: int = 0, n: int | None = None, seed: int | None = None) -> PathDraws:
+def path_draws(
+    fit: Fitted, tag: int = 0, n: int | None = None, seed: int | None = None
+) -> PathDraws:
     """Draws of a tag's path, with the clock and the parameters of its movement.
 
     Raises
@@ -48,7 +50,7 @@ def path_site(cm: ChainModel):
     return found[0]
 
 
-def path_of(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
+def path_of(fit: Fitted, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     """Paths of one tag in flat draws x (D, T, d), u (D, k)."""
     site = path_site(fit.cm)
     read = read_law(fit, x, u)
@@ -65,7 +67,7 @@ def path_of(fit: Fit, x: np.ndarray, u: np.ndarray, tag: int) -> PathDraws:
     return PathDraws(site.law, scale, clock, state, home, fit.water, depth)
 
 
-def _depths(fit: Fit, x: np.ndarray, read: dict, mine: np.ndarray, clock: np.ndarray):
+def _depths(fit: Fitted, x: np.ndarray, read: dict, mine: np.ndarray, clock: np.ndarray):
     """Depths of one tag (states `mine`) in flat draws x (D, T, d), or None."""
     water = getattr(fit.args[0], "depth", None) if fit.args else None
     if water is None:
@@ -80,7 +82,7 @@ def _depths(fit: Fit, x: np.ndarray, read: dict, mine: np.ndarray, clock: np.nda
     return DepthDraws(path, water, np.median(clock, axis=0), known)
 
 
-def read_law(fit: Fit, x: np.ndarray, u: np.ndarray, emission: bool = True) -> dict:
+def read_law(fit: Fitted, x: np.ndarray, u: np.ndarray, emission: bool = True) -> dict:
     """What the path's law is made of, for flat draws x (D, T, d), u (D, k); padding too.
 
     ``dt`` (T - 1,) and ``tag`` (T,) are data; the law's parameters, ``centre`` where it has a home
@@ -128,7 +130,7 @@ def _reader(cm: ChainModel, name: str):
     return jax.jit(one)
 
 
-def states_of(fit: Fit, tags: np.ndarray | None, tag: int) -> np.ndarray:
+def states_of(fit: Fitted, tags: np.ndarray | None, tag: int) -> np.ndarray:
     """Indices of a tag's states."""
     here = np.zeros(fit.n_states, int) if tags is None else tags[: fit.n_states]
     mine = np.flatnonzero(here == tag)
@@ -137,7 +139,7 @@ def states_of(fit: Fit, tags: np.ndarray | None, tag: int) -> np.ndarray:
     return mine
 
 
-def clock_parts(fit: Fit, read: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def clock_parts(fit: Fitted, read: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Where a state stands at its emission time (T,) bool, and its time elsewhere (T,), s.
 
     In a model of somebody's own all tags begin at 0.

@@ -14,7 +14,7 @@ from maloc._jax import jax, jnp
 from maloc.infer._model import ChainModel, _unwrap
 
 if TYPE_CHECKING:
-    from maloc.infer.result import Fit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["log_prior", "replicated", "unobserved"]
 
@@ -46,7 +46,7 @@ def _is_data(law) -> bool:
     return known and not isinstance(law, dist.Unit) and not getattr(law, "summed_out", False)
 
 
-def replicated(fit: Fit, seed: int = 0) -> dict[str, np.ndarray]:
+def replicated(fit: Fitted, seed: int = 0) -> dict[str, np.ndarray]:
     """Data of every observed site that can be drawn, at each draw: site -> (chain, draw, ...).
 
     References
@@ -79,7 +79,7 @@ def _drawer(cm: ChainModel):
     )
 
 
-def log_prior(fit: Fit) -> dict[str, np.ndarray]:
+def log_prior(fit: Fitted) -> dict[str, np.ndarray]:
     """Log density of each latent site given those before it: site -> (chain, draw)."""
     x, u, lead = _flat(fit)
     return {k: np.asarray(v).reshape(lead) for k, v in _density(fit.cm)(x, u, fit.args).items()}
@@ -97,7 +97,7 @@ def _density(cm: ChainModel):
     return jax.jit(lambda x, u, args: jax.lax.map(lambda d: one(d[0], d[1], args), (x, u)))
 
 
-def _flat(fit: Fit):
+def _flat(fit: Fitted):
     x, u = fit.flat_draws()
     flat = (jnp.asarray(part.reshape(-1, *part.shape[2:])) for part in (x, u))
     return *flat, x.shape[:2]

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc.depth import bottom_at, depth_of, path_at
+from maloc.world.depth import bottom_at, depth_of, path_at
 
 if TYPE_CHECKING:
-    from maloc.data.joint_data import JointData
-    from maloc.data.model_data import ToaData
     from maloc.infer._model import ChainModel
+    from maloc.model_data.joint import JointData
+    from maloc.model_data.toa import ToaData
 
 __all__ = ["depth_at", "put_depth", "slant_ranges"]
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from maloc.infer.result import Fit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["depth_group", "movement_group", "water_group"]
 
 
-def movement_group(fit: Fit, states: np.ndarray):
+def movement_group(fit: Fitted, states: np.ndarray):
     """What a prediction needs besides the path's draws: see `maloc.predict`.
 
     ``ping`` (S,) tells which states stand in the group posterior; the rest stand in between.

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer.initial import _column, _position_columns
 from maloc.infer.mode import find_mode
 from maloc.infer.starts import _put_emission
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 
 __all__ = ["leaps", "straighten"]
 

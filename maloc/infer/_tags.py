@@ -17,6 +17,7 @@ from maloc.infer._model import ChainModel, chain_model
 from maloc.infer.laplace import laplace
 from maloc.infer.result import Fit, LaplaceFit
 from maloc.infer.svi import SviFit, svi
+from maloc.model_data.toa import to_model_data
 
 __all__ = ["Tags"]
 
@@ -44,7 +45,7 @@ class Tags:
         with bar:
             for toa in toas:
                 try:
-                    data = toa.to_model_data()
+                    data = to_model_data(toa)
                     if self.names and not len(self.prior.loc):
                         self._look(data)
                     extra = (self.prior,) if self.names else ()

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from maloc._jax import jax
-from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer.mode import find_mode
+from maloc.model_data.toa import ToaData
 
 __all__ = ["SIZE", "Windows", "cut", "padded", "settled"]
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc import signal
-from maloc.data._encounter_gaps import Silence, find_gaps, most_missed
 from maloc.data.encounters import EncounterHistory
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
+from maloc.infer._fit import Fitted
 from maloc.infer._paths import path_draws
 from maloc.infer._rows import Rows
-from maloc.infer.result import Fit
+from maloc.model_data.gaps import Silence, find_gaps, most_missed
+from maloc.schedule import signal
 
 if TYPE_CHECKING:
     import polars as pl
@@ -50,14 +50,14 @@ class Counted(NamedTuple):
     draws: np.ndarray
 
 
-def flat_draws(fit: Fit) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def flat_draws(fit: Fitted) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Draws of all sites (D, ...), chains joined, and which 200 or fewer of them to use."""
     draws = {k: v.reshape(-1, *v.shape[2:]) for k, v in fit.draws().items()}
     n = len(draws["position"])
     return draws, np.unique(np.linspace(0, n - 1, min(n, _DRAWS)).astype(int))
 
 
-def count_missed(fit: Fit, history: EncounterHistory, seed: int = 0) -> Counted | None:
+def count_missed(fit: Fitted, history: EncounterHistory, seed: int = 0) -> Counted | None:
     """Count the missed pings of every gap, and draw their times.
 
     Parameters
@@ -77,8 +77,8 @@ def count_missed(fit: Fit, history: EncounterHistory, seed: int = 0) -> Counted 
     found = find_gaps(history)
     if gaps is None or not found:
         return None
-    from maloc import renewal
     from maloc._jax import jax, jnp
+    from maloc.schedule import renewal
 
     draws, keep = flat_draws(fit)
     log_q = draws["log_q"][keep]
@@ -156,7 +156,7 @@ def _stamps(history: EncounterHistory, seconds: list[float]) -> list:
 
 
 def track_table(
-    fit: Fit, history: EncounterHistory, counted: Counted | None = None, seed: int = 0
+    fit: Fitted, history: EncounterHistory, counted: Counted | None = None, seed: int = 0
 ) -> pl.DataFrame:
     """Track of every tag: its known pings, and those missed in its gaps.
 
@@ -232,7 +232,7 @@ def _columns(tag, t, position, covariance, low, high, depth, n_receivers, ping):
     }
 
 
-def _known(fit: Fit, history: EncounterHistory) -> dict[str, np.ndarray]:
+def _known(fit: Fitted, history: EncounterHistory) -> dict[str, np.ndarray]:
     """Rows of the pings that are rows of the history, from the posterior's moments."""
     states = np.flatnonzero(np.asarray(fit.args[0].ping)[: fit.n_states])
     position, covariance, low, high = (part[states] for part in fit.positions())
@@ -243,7 +243,7 @@ def _known(fit: Fit, history: EncounterHistory) -> dict[str, np.ndarray]:
     return _columns(history.tag, time, *known)
 
 
-def _sent(fit: Fit, history: EncounterHistory, states: np.ndarray) -> np.ndarray:
+def _sent(fit: Fitted, history: EncounterHistory, states: np.ndarray) -> np.ndarray:
     """Emission times (P,), s: as the fit has them, where arrivals or a beat tell; else as given."""
     draws = fit.draws()
     if "emission_time" not in draws:
@@ -253,7 +253,7 @@ def _sent(fit: Fit, history: EncounterHistory, states: np.ndarray) -> np.ndarray
 
 
 def _placed(
-    fit: Fit, history: EncounterHistory, counted: Counted, seed: int
+    fit: Fitted, history: EncounterHistory, counted: Counted, seed: int
 ) -> dict[str, np.ndarray] | None:
     """Rows of the missed pings, as many in each gap as are most probable."""
     rng = np.random.default_rng(seed)

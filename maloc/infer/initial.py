@@ -14,15 +14,15 @@ from __future__ import annotations
 import numpy as np
 
 from maloc._jax import jax
-from maloc._path import MarkovPath
 from maloc.arrival import DDetect
-from maloc.data.encounter_data import EncounterData
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
 from maloc.infer._model import ChainModel
 from maloc.infer._slant import depth_at, put_depth, slant_ranges
 from maloc.infer.mode import anneal, find_mode
-from maloc.statespace import SoftBox
+from maloc.model_data.encounters import EncounterData
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
+from maloc.movement.path import MarkovPath
+from maloc.world.statespace import SoftBox
 
 __all__ = ["initial_values", "put_positions", "repair", "stable_interval"]
 

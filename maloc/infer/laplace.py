@@ -8,9 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from maloc._jax import require_x64
-from maloc._stages import Stages
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
+from maloc.data._stages import Stages
 from maloc.data.water_column import flat_warning
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
@@ -22,6 +20,9 @@ from maloc.infer.mode import _factor, find_mode
 from maloc.infer.point_start import checked_positions
 from maloc.infer.result import LaplaceFit
 from maloc.infer.starts import beat_start, joint_starts
+from maloc.model_data.convert import CONTAINERS, to_model_data
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 
 __all__ = ["laplace"]
 
@@ -80,9 +81,9 @@ def laplace(
     stages = Stages()
     with stages.time("prepare"):
         args = tuple(map(getattr(model, "reads", _same), args[:1])) + args[1:]
-        source = args[0] if args and hasattr(args[0], "to_model_data") else None
+        source = args[0] if args and isinstance(args[0], CONTAINERS) else None
         flat = flat_warning(args[0]) if args else None
-        args = tuple(a.to_model_data() if hasattr(a, "to_model_data") else a for a in args)
+        args = tuple(map(to_model_data, args))
         cm = chain_model(model, options, args, path)
     whole = None if _walks(cm) else long_arguments(args, cm)
     try:

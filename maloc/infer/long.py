@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maloc._jax import jax
-from maloc._stages import Stages
-from maloc.data.model_data import ToaData
+from maloc.data._stages import Stages
 from maloc.errors import FitError
 from maloc.infer._model import ChainModel, chain_model
 from maloc.infer._slant import put_depth
@@ -29,6 +28,7 @@ from maloc.infer.initial import _column, _middle, _nearest, put_positions, repai
 from maloc.infer.marginal import MarginalFit, _Marginal
 from maloc.infer.mode import _factor, anneal, find_mode
 from maloc.infer.result import LaplaceFit
+from maloc.model_data.toa import ToaData
 
 __all__ = ["LONG", "LongFit", "fit_long", "long_arguments"]
 

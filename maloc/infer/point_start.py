@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from maloc.data.joint_data import JointData
-from maloc.data.model_data import ToaData
 from maloc.errors import InputError
+from maloc.model_data.joint import JointData
+from maloc.model_data.toa import ToaData
 
 __all__ = ["checked_positions", "pmc_positions"]
 

@@ -23,7 +23,7 @@ from maloc.infer._paths import (
 )
 
 if TYPE_CHECKING:
-    from maloc.infer.result import Fit, LaplaceFit
+    from maloc.infer._fit import Fitted
 
 __all__ = ["Prediction", "TrackDraws", "predict", "sample_tracks"]
 
@@ -111,7 +111,7 @@ class TrackDraws:
         return f"TrackDraws: {len(self)} tracks of {len(self.times)} times over {span:.0f} s"
 
 
-def predict(fit: Fit, times, tag: int = 0) -> Prediction:
+def predict(fit: Fitted, times, tag: int = 0) -> Prediction:
     """Posterior of a tag's state at any times, in any order, also before and after the data.
 
     Parameters
@@ -156,7 +156,7 @@ def predict(fit: Fit, times, tag: int = 0) -> Prediction:
 
 
 def sample_tracks(
-    fit: Fit, times, tag: int = 0, *, n: int = 200, seed: int = 0, name: str = "", origin=None,
+    fit: Fitted, times, tag: int = 0, *, n: int = 200, seed: int = 0, name: str = "", origin=None,
     crs: str | None = None,
 ) -> TrackDraws:  # fmt: skip
     """Draw whole tracks of a tag at any ascending times (multiple imputation).
@@ -267,7 +267,7 @@ def _checked(times) -> np.ndarray:
 # -- Laplace --------------------------------------------------------------------------------------
 
 
-def _laplace(fit: LaplaceFit, times: np.ndarray, tag: int) -> Prediction:
+def _laplace(fit: Fitted, times: np.ndarray, tag: int) -> Prediction:
     m, cm = fit.marginal, fit.cm
     site = path_site(cm)
     path = path_of(fit, m.x[None], m.u[None], tag)
@@ -297,7 +297,7 @@ def _t(a: np.ndarray) -> np.ndarray:
     return np.swapaxes(a, -1, -2)
 
 
-def _moved(fit: LaplaceFit, times: np.ndarray, tag: int) -> np.ndarray:
+def _moved(fit: Fitted, times: np.ndarray, tag: int) -> np.ndarray:
     """How the mean (n, d) moves with the parameters, the states with it: (k, n, d)."""
     m, k = fit.marginal, fit.cm.k
     if not k:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from maloc.data.joint_data import JointData
 from maloc.infer._beat import smooth_beat
 from maloc.infer._grid import grid_paths
 from maloc.infer._model import ChainModel, chain_model
@@ -18,6 +17,7 @@ from maloc.infer._slant import depth_at, slant_ranges
 from maloc.infer.initial import initial_values, put_positions, repair
 from maloc.infer.marginal import MarginalFit, maximise_marginal
 from maloc.infer.mode import anneal, find_mode
+from maloc.model_data.joint import JointData
 
 __all__ = ["beat_start", "joint_starts"]
 

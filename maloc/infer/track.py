@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from maloc import signal
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.errors import FitError
 from maloc.infer._bridge import draw
 from maloc.infer._depths import COLUMNS, draw_depths, summed_up
+from maloc.infer._fit import Fitted
 from maloc.infer._paths import path_draws
 from maloc.infer._rows import Rows
-from maloc.infer.result import Fit
+from maloc.schedule import signal
 
 if TYPE_CHECKING:
     import polars as pl
@@ -41,7 +41,7 @@ class _Rows(NamedTuple):
     ping: np.ndarray  # id in the input, -1 = none
 
 
-def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
+def track_table(fit: Fitted, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
     """Track of a fit as a table, every ping in order.
 
     Parameters
@@ -65,7 +65,7 @@ def track_table(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> pl.DataFrame:
     return _frame(find_rows(fit, toa, seed), toa)
 
 
-def find_rows(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> _Rows:
+def find_rows(fit: Fitted, toa: ArrivalTimes, seed: int = 0) -> _Rows:
     """Work the track's rows out, and note in the fit where its pings stand among them."""
     heard, more = _heard(fit, toa), _unheard(fit, toa, np.random.default_rng(seed))
     both, n = heard, len(heard.t)
@@ -87,7 +87,7 @@ def find_rows(fit: Fit, toa: ArrivalTimes, seed: int = 0) -> _Rows:
     return _Rows(*(column[order] for column in both))
 
 
-def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
+def _heard(fit: Fitted, toa: ArrivalTimes) -> _Rows:
     """Rows of the heard pings from the posterior's moments."""
     position, covariance, low, high = fit.positions()
     if fit.method == "laplace":
@@ -102,7 +102,7 @@ def _heard(fit: Fit, toa: ArrivalTimes) -> _Rows:
     )
 
 
-def _unheard(fit: Fit, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:
+def _unheard(fit: Fitted, toa: ArrivalTimes, rng: np.random.Generator) -> _Rows | None:
     """Rows of pings that nobody heard: those of the input, and those the schedule calls for."""
     gaps = _gaps(toa)
     if not gaps:

@@ -11,7 +11,7 @@ from maloc.plots._style import INK, LATE, TRACK, new_axes, tidy
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from maloc.rangetest import RangeTest
+    from maloc.detection.rangetest import RangeTest
 
 __all__ = ["detection_curve"]
 

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from maloc.data.arrivals import ArrivalTimes
-from maloc.data.raster import read_raster
 from maloc.errors import InputError
+from maloc.readers.raster import read_raster
 
 __all__ = ["PLACES", "Depth", "Terrain", "depths", "read_terrain"]
 

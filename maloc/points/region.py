@@ -30,8 +30,8 @@ def read_region(file: str | Path, crs: str | None = None) -> np.ndarray:
     InputError
         If there are fewer than three corners, a coordinate is missing, or degrees have no frame.
     """
-    from maloc.data.readers._columns import RECEIVER, find
-    from maloc.data.readers._text import read_table
+    from maloc.readers._columns import RECEIVER, find
+    from maloc.readers._text import read_table
 
     table = read_table(file)
     roles = find(table.columns, RECEIVER, {"x", "y", "longitude", "latitude"})

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 
 from maloc.data import Note
 from maloc.errors import InputError
-
-if TYPE_CHECKING:
-    from maloc.sync.clocks import ClockSync
+from maloc.sync._clocks import Clocks
+from maloc.sync._locate import offset_of
 
 __all__ = ["anchored"]
 
 HOUR = 3600.0
 
+C = TypeVar("C", bound=Clocks)
 
-def anchored(sync: ClockSync, receiver: object, recorded: object, true: object) -> ClockSync:
+
+def anchored(sync: C, receiver: object, recorded: object, true: object) -> C:
     """See `maloc.sync.ClockSync.anchored`."""
     recorded = np.atleast_1d(np.asarray(recorded, np.int64))
     true = np.atleast_1d(np.asarray(true, np.int64))
     if recorded.shape != true.shape:
         raise InputError(f"{recorded.size} recorded times, but {true.size} true ones")
     name = np.broadcast_to(np.asarray(receiver, dtype=str), recorded.shape)
-    offset = sync.offset(name, recorded)
+    offset = offset_of(sync, name, recorded)
     known = np.isfinite(offset)
     if not known.any():
         raise InputError(

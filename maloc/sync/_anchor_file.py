@@ -55,10 +55,10 @@ def read_anchors(path: str | Path) -> Anchors:
     InputError
         If the file is neither, a value is missing or no time, or there are no moments in it.
     """
-    from maloc.data.readers import _clock, read_events, vdat, vue_events
-    from maloc.data.readers._columns import locate
-    from maloc.data.readers._files import load
-    from maloc.data.readers._text import table_of
+    from maloc.readers import _clock, read_events, vdat, vue_events
+    from maloc.readers._columns import locate
+    from maloc.readers._files import load
+    from maloc.readers._text import table_of
 
     file = load(path)
     table = None if vdat.sniff(file.data) else table_of(file)

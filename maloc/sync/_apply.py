@@ -13,12 +13,12 @@ from maloc.sync._locate import SURE, TWICE, UNSURE, locate, offset_sd
 from maloc.sync._prepare import seconds
 
 if TYPE_CHECKING:
-    from maloc.sync.clocks import ClockSync
+    from maloc.sync._clocks import Clocks
 
 __all__ = ["apply"]
 
 
-def apply(sync: ClockSync, detections: Detections) -> Detections:
+def apply(sync: Clocks, detections: Detections) -> Detections:
     """See `ClockSync.apply`."""
     at = locate(sync, detections.receiver, detections.time)
     known = at.status == SURE

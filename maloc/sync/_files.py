@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc.data import Detections, Note, Receivers
+from maloc.data import Note, Receivers
 from maloc.errors import InputError
+from maloc.sync._records import ClockJumps, SyncResiduals
 
 if TYPE_CHECKING:
-    import polars as pl
+    from maloc.sync._clocks import Clocks
 
-    from maloc.sync.clocks import ClockSync
-
-__all__ = ["from_netcdf", "to_netcdf", "write"]
+__all__ = ["from_netcdf", "to_netcdf"]
 
 FORMAT = "maloc clock synchronisation 2"
 _RECEIVERS = ("receiver", "x", "y", "depth", "sync_tag", "start", "end")
@@ -67,7 +66,7 @@ _UNITS = {
 }
 
 
-def to_netcdf(sync: ClockSync, path: str | Path) -> None:
+def to_netcdf(sync: Clocks, path: str | Path) -> None:
     """Write `sync` to one NetCDF file."""
     import xarray as xr
 
@@ -96,8 +95,8 @@ def to_netcdf(sync: ClockSync, path: str | Path) -> None:
     dataset.to_netcdf(path, engine="h5netcdf")
 
 
-def from_netcdf(path: str | Path) -> ClockSync:
-    """Read what `to_netcdf` wrote.
+def from_netcdf(path: str | Path) -> dict[str, Any]:
+    """Read what `to_netcdf` wrote: the fields of a `ClockSync`.
 
     Raises
     ------
@@ -105,8 +104,6 @@ def from_netcdf(path: str | Path) -> ClockSync:
         If there is no such file or it is something else.
     """
     import xarray as xr
-
-    from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
 
     if not Path(path).is_file():
         raise InputError("no such file", file=path)
@@ -127,72 +124,19 @@ def from_netcdf(path: str | Path) -> ClockSync:
     fields: dict[str, Any] = {name: d[name].values for name in _ARRAYS}
     fields |= {name: float(d.attrs[name]) for name in _SCALARS if name != "reference"}
     levels, texts, counts = text("note_level"), text("note_text"), d["note_count"].values
-    return ClockSync(
-        receivers=Receivers(
+    return fields | {
+        "receivers": Receivers(
             *(any_(f"deployment_{name}") for name in _RECEIVERS), crs=str(d.attrs["crs"]) or None
         ),
-        origin=int(d.attrs["origin"]),
-        jumps=ClockJumps(
+        "origin": int(d.attrs["origin"]),
+        "jumps": ClockJumps(
             **{f.name: any_(f"jump_{f.name}") for f in dataclasses.fields(ClockJumps)}
         ),
-        residuals=SyncResiduals(
+        "residuals": SyncResiduals(
             **{f.name: any_(f"residual_{f.name}") for f in dataclasses.fields(SyncResiduals)}
         ),
-        notes=tuple(
+        "notes": tuple(
             Note(str(a), str(b), int(c)) for a, b, c in zip(levels, texts, counts, strict=True)
         ),
-        reference=str(d.attrs["reference"]),
-        **fields,
-    )
-
-
-def receivers_frame(sync: ClockSync) -> pl.DataFrame:
-    """Return the fitted receivers' table with shifts from the given one and standard errors."""
-    import polars as pl
-
-    extra = {
-        "shift_x": sync.shift[:, 0],
-        "shift_y": sync.shift[:, 1],
-        "sd_x": sync.position_sd[:, 0],
-        "sd_y": sync.position_sd[:, 1],
+        "reference": str(d.attrs["reference"]),
     }
-    return sync.receivers.to_frame().with_columns(pl.Series(k, v) for k, v in extra.items())
-
-
-def write(sync: ClockSync, folder: str | Path, detections: Detections | None) -> list[Path]:
-    """Write the files of `maloc sync`; returns their paths."""
-    import polars.selectors as cs
-    from matplotlib.figure import Figure
-
-    from maloc.plots import _sync as figures
-    from maloc.plots._sync_links import sync_matrix
-    from maloc.sync.connect import connectivity
-
-    folder = Path(folder)
-    to_netcdf(sync, folder / "sync.nc")
-    paths = [folder / "sync.nc"]
-    for name, table in (
-        ("receivers_fitted.csv", receivers_frame(sync)),
-        ("residuals.csv", sync.residuals_frame()),
-        ("links.csv", sync.links_frame()),
-        ("jumps.csv", sync.jumps_frame()),
-    ):
-        iso = cs.datetime().dt.strftime("%Y-%m-%dT%H:%M:%S%.6fZ")
-        table.with_columns(iso).write_csv(folder / name, float_precision=6)
-        paths.append(folder / name)
-    if detections is not None:
-        paths.append(folder / "detections_synced.parquet")
-        sync.apply(detections).to_frame().write_parquet(paths[-1])
-    drawn: list[tuple[str, Any]] = [
-        ("residuals.png", figures.sync_residuals),
-        ("clocks.png", figures.clocks),
-    ]
-    if detections is not None:
-        found = connectivity(detections, sync.receivers)
-        drawn.append(("connectivity.png", lambda _, ax: sync_matrix(found, ax=ax)))
-    for name, draw in drawn:
-        figure = Figure(figsize=(9.0, 4.5))  # no pyplot: nothing global, no window
-        draw(sync, figure.subplots())
-        paths.append(folder / name)
-        figure.savefig(paths[-1], dpi=150, bbox_inches="tight")
-    return paths

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from maloc.sync._curve import hermite, to_common
+from maloc.sync._prepare import seconds
 
 if TYPE_CHECKING:
-    from maloc.sync.clocks import ClockSync
+    from maloc.sync._clocks import Clocks
 
-__all__ = ["SURE", "TWICE", "UNSURE", "Located", "locate", "offset_sd"]
+__all__ = ["SURE", "TWICE", "UNSURE", "Located", "locate", "offset_of", "offset_sd"]
 
 SURE, UNSURE, TWICE, UNSYNCED = 0, 1, 2, 3
 
@@ -25,12 +26,12 @@ class Located(NamedTuple):
     status: np.ndarray
 
 
-def locate(sync: ClockSync, receiver: np.ndarray, time: np.ndarray) -> Located:
+def locate(sync: Clocks, receiver: np.ndarray, time: np.ndarray) -> Located:
     """Find the common time of recorded times.
 
     Parameters
     ----------
-    sync : ClockSync
+    sync : Clocks
     receiver : array (N,) of str
     time : array (N,) of int64
         Recorded, ns since 1970.
@@ -71,7 +72,7 @@ def locate(sync: ClockSync, receiver: np.ndarray, time: np.ndarray) -> Located:
 
 
 def offset_sd(
-    sync: ClockSync, clock: np.ndarray, segment: np.ndarray, common: np.ndarray
+    sync: Clocks, clock: np.ndarray, segment: np.ndarray, common: np.ndarray
 ) -> np.ndarray:
     """Standard error (N,) of the offset of clocks at common times, s.
 
@@ -104,3 +105,10 @@ def offset_sd(
     u = np.clip(u, 0.0, 1.0)
     bridge = q * (u * (1 - u)) ** 3 / 3 + q * np.abs(beyond) ** 3 / 3
     return np.sqrt(np.maximum(np.einsum("na,nab,nb->n", w, cov, w), 0.0) + bridge)
+
+
+def offset_of(sync: Clocks, receiver: object, time: object) -> np.ndarray:
+    """See `maloc.sync.ClockSync.offset`."""
+    time = np.atleast_1d(np.asarray(time, np.int64))
+    at = locate(sync, np.broadcast_to(np.asarray(receiver, dtype=str), time.shape), time)
+    return np.where(at.status == SURE, seconds(time, sync.origin) - at.common, np.nan)

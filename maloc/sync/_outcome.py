@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from maloc.data import Note
-from maloc.sync import _arrivals, _blocks
+from maloc.sync import _arrivals, _blocks, _model
+from maloc.sync._coarse import FEW
+from maloc.sync._curve import to_common
 from maloc.sync._locate import TWICE, UNSURE, locate
 from maloc.sync._model import Solution
 from maloc.sync._prepare import ECHO, JUMPED
+from maloc.sync._prepared import Prepared
 from maloc.sync._search import Dated
 from maloc.sync._tables import jump_text
 from maloc.sync.clocks import ClockJumps, ClockSync, SyncResiduals
 
-if TYPE_CHECKING:
-    from maloc.sync._fit import Prepared
-
 __all__ = ["outcome"]
 
 LATE, WILD = "late: reflected", "early or wild"
+UNFIT = 0.7  # a receiver with a larger share of arrivals that do not fit is not synchronised
 UNSURE_SPEED = 15.0  # m/s
 DRAWS = 20
 
@@ -30,8 +30,6 @@ def outcome(
     p: Prepared, a: _arrivals.Arrivals, fitted: Solution, dated: Dated, seed: int
 ) -> ClockSync:
     """Make the ClockSync."""
-    from maloc.sync._fit import residuals_of_the_rest, unfit
-
     names, used, why = p.receivers.names, p.used, p.grouped.why.copy()
     data, ping, ref = p.data, p.grouped.ping, p.grouped.reference
     xyz = fitted.xyz
@@ -213,3 +211,36 @@ def _remarks(sync: ClockSync, fitted: Solution, p: Prepared) -> list[Note]:
         text = f"fitted more than 3 m from the table: {', '.join(moved)}"
         notes.append(Note("warning", text, int(far.sum())))
     return notes
+
+
+def residuals_of_the_rest(p: Prepared, fitted: _model.Solution, rest: np.ndarray) -> np.ndarray:
+    """Residuals of arrivals outside the fit whose ping is in it (echoes), s."""
+    lead = fitted.end.jumps.lead(p.data.clock[rest], p.grouped.segment[rest])
+    common = to_common(
+        fitted.end.state, p.grid.first, p.grid.spacing, p.data.clock[rest],
+        p.data.recorded[rest] - lead,
+    )  # fmt: skip
+    way = _arrivals.distances(fitted.xyz, p.data.place[rest], p.data.source[rest])
+    travel = way / np.interp(common, p.grid.time, fitted.speed)
+    pings = np.unique(p.grouped.ping[p.used])
+    return common - travel - fitted.emission[np.searchsorted(pings, p.grouped.ping[rest])]
+
+
+def unfit(
+    clock: np.ndarray, p_direct: np.ndarray, reference: int, names: tuple[str, ...]
+) -> tuple[np.ndarray, list[Note]]:
+    """Receivers (R,) whose arrivals mostly do not fit, so that their clock is not believed."""
+    total = np.bincount(clock, minlength=len(names))
+    bad = np.bincount(clock, p_direct < 0.5, minlength=len(names))
+    share = bad / np.maximum(total, 1)
+    out = (total >= FEW) & (share > UNFIT)
+    out[reference] = False
+    notes = []
+    for j in np.flatnonzero((total >= FEW) & (share > 0.5)):
+        end = "its clock is not used" if out[j] else "kept"
+        text = (
+            f"receiver {names[j]}: {bad[j]:.0f} of {total[j]} sync arrivals do not fit (wrong "
+            f"place, wrongly aligned clock, or seldom a direct path); {end}"
+        )
+        notes.append(Note("warning", text, int(bad[j])))
+    return out, notes

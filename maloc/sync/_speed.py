@@ -56,7 +56,7 @@ def speed_of(sound_speed: Any, origin: int, last: int) -> Speed:
         if not (np.isfinite(speed) and speed >= 300.0):
             raise InputError(f"sound_speed must be at least 300, got {sound_speed}")
         return Speed(speed, 0.0, False)
-    from maloc.medium import speed_table
+    from maloc.world.medium import speed_table
 
     time, speeds = speed_table(sound_speed)
     if last / NS < time[0] - 86_400 or origin / NS > time[-1] + 86_400:

@@ -11,12 +11,12 @@ from maloc.data._time import NS
 if TYPE_CHECKING:
     import polars as pl
 
-    from maloc.sync.clocks import ClockSync
+    from maloc.sync._clocks import Clocks
 
 __all__ = ["jump_text", "jumps_frame", "links_frame", "residuals_frame"]
 
 
-def jump_text(sync: ClockSync, j: int) -> str:
+def jump_text(sync: Clocks, j: int) -> str:
     """Return a sentence on jump `j`."""
     q = sync.jumps
     start = np.datetime64(sync.origin, "ns")
@@ -29,7 +29,7 @@ def jump_text(sync: ClockSync, j: int) -> str:
     )
 
 
-def residuals_frame(sync: ClockSync) -> pl.DataFrame:
+def residuals_frame(sync: Clocks) -> pl.DataFrame:
     """See `ClockSync.residuals_frame`."""
     import polars as pl
 
@@ -50,7 +50,7 @@ def residuals_frame(sync: ClockSync) -> pl.DataFrame:
     )
 
 
-def jumps_frame(sync: ClockSync) -> pl.DataFrame:
+def jumps_frame(sync: Clocks) -> pl.DataFrame:
     """See `ClockSync.jumps_frame`."""
     import polars as pl
 
@@ -67,7 +67,7 @@ def jumps_frame(sync: ClockSync) -> pl.DataFrame:
     )
 
 
-def links_frame(sync: ClockSync) -> pl.DataFrame:
+def links_frame(sync: Clocks) -> pl.DataFrame:
     """See `ClockSync.links_frame`."""
     import polars as pl
 
@@ -85,3 +85,16 @@ def links_frame(sync: ClockSync) -> pl.DataFrame:
         )
         .sort("sync_tag", "receiver")
     )
+
+
+def receivers_frame(sync: Clocks) -> pl.DataFrame:
+    """Return the fitted receivers' table with shifts from the given one and standard errors."""
+    import polars as pl
+
+    extra = {
+        "shift_x": sync.shift[:, 0],
+        "shift_y": sync.shift[:, 1],
+        "sd_x": sync.position_sd[:, 0],
+        "sd_y": sync.position_sd[:, 1],
+    }
+    return sync.receivers.to_frame().with_columns(pl.Series(k, v) for k, v in extra.items())

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from maloc.sync.clocks import ClockSync
+    from maloc.sync._clocks import Clocks
 
 __all__ = ["summary"]
 
 
-def summary(sync: ClockSync) -> str:
+def summary(sync: Clocks) -> str:
     """Return what was fitted, how well, by receiver, and every note."""
     r, used = sync.residuals, sync.residuals.used
     speed = (

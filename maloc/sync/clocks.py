@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc.data import Detections, Note, Receivers
+from maloc._package import moved
+from maloc.data import Detections
 from maloc.data._time import NS
-from maloc.errors import InputError
-from maloc.sync._locate import SURE, locate, offset_sd
-from maloc.sync._prepare import seconds
+from maloc.sync import _files, _tables, _text
+from maloc.sync._anchor import anchored
+from maloc.sync._apply import apply
+from maloc.sync._clocks import Clocks
+from maloc.sync._locate import SURE, locate, offset_of, offset_sd
 from maloc.sync._records import ClockJumps, SyncResiduals
 
 if TYPE_CHECKING:
@@ -26,7 +29,7 @@ __all__ = ["ClockJumps", "ClockSync", "SyncResiduals"]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class ClockSync:
+class ClockSync(Clocks):
     """Clocks of all receivers against the common time, which is the clock of `reference`.
 
     The offset of a receiver is what its clock shows minus the common time: a cubic Hermite curve
@@ -76,71 +79,6 @@ class ClockSync:
     notes : tuple of Note
     """
 
-    receivers: Receivers
-    reference: str
-    origin: int
-    knots: np.ndarray
-    values: np.ndarray
-    slopes: np.ndarray
-    values_sd: np.ndarray
-    noise: np.ndarray
-    covariance: np.ndarray
-    jumps: ClockJumps
-    speeds: np.ndarray
-    speeds_sd: np.ndarray
-    span: np.ndarray
-    sigma: float
-    reflected: float
-    delay: np.ndarray
-    delay_sd: np.ndarray
-    position_sd: np.ndarray
-    shift: np.ndarray
-    residuals: SyncResiduals
-    value_draws: np.ndarray
-    slope_draws: np.ndarray
-    jump_draws: np.ndarray
-    notes: tuple[Note, ...] = ()
-
-    def __post_init__(self) -> None:
-        shape = (len(self.receivers.names), len(self.knots))
-        for name in ("values", "slopes", "values_sd"):
-            if getattr(self, name).shape != shape:
-                raise InputError(f"ClockSync.{name} must have shape {shape}")
-        if self.reference not in self.receivers.names:
-            raise InputError(f"reference '{self.reference}' is not among the receivers")
-
-    @property
-    def spacing(self) -> float:
-        """Distance between knots, s."""
-        return float(self.knots[1] - self.knots[0])
-
-    @property
-    def synced(self) -> np.ndarray:
-        """Whether each receiver of `receivers.names` is synchronised (R,)."""
-        return np.asarray(np.isfinite(self.values).all(axis=1))
-
-    @property
-    def sound_speed(self) -> float:
-        """Sound speed, m/s, its mean where it varies."""
-        return float(1 / np.mean(1 / self.speeds))
-
-    @property
-    def sound_speed_sd(self) -> float:
-        """Standard error of the sound speed, m/s; 0 = it was given."""
-        return float(self.speeds_sd.mean())
-
-    @property
-    def residual_sd(self) -> float:
-        """Standard deviation of the residuals that count, s."""
-        used = self.residuals.used
-        return float(self.residuals.residual[used].std()) if used.any() else float("nan")
-
-    @property
-    def residual_mad(self) -> float:
-        """1.4826 times the median absolute deviation of the residuals that count, s."""
-        r = self.residuals.residual[self.residuals.used]
-        return float(1.4826 * np.median(np.abs(r - np.median(r)))) if len(r) else float("nan")
-
     def offset(self, receiver: object, time: object) -> np.ndarray:
         """Return what to subtract from recorded times to get the common time.
 
@@ -156,9 +94,7 @@ class ClockSync:
             Offset, s; NaN where the receiver is not synchronised, or a jump of its clock leaves it
             open (it shows some times twice, or none is known on which side a time lies).
         """
-        time = np.atleast_1d(np.asarray(time, np.int64))
-        at = locate(self, np.broadcast_to(np.asarray(receiver, dtype=str), time.shape), time)
-        return np.where(at.status == SURE, seconds(time, self.origin) - at.common, np.nan)
+        return offset_of(self, receiver, time)
 
     def offset_sd(self, receiver: object, time: object) -> np.ndarray:
         """Return the standard error of `offset`, s: it grows in silences and beyond the data.
@@ -237,8 +173,6 @@ class ClockSync:
         InputError
             If none of the moments can be placed on the common clock.
         """
-        from maloc.sync._anchor import anchored
-
         return anchored(self, receiver, recorded, true)
 
     def apply(self, detections: Detections) -> Detections:
@@ -258,21 +192,15 @@ class ClockSync:
             Times in int64 ns on the common clock, in the order of the input; the extra column
             `clock_sd` is the standard error of each, s.
         """
-        from maloc.sync._apply import apply
-
         return apply(self, detections)
 
     def residuals_frame(self) -> pl.DataFrame:
         """Return the residuals as a polars DataFrame, one row a sync detection."""
-        from maloc.sync._tables import residuals_frame
-
-        return residuals_frame(self)
+        return _tables.residuals_frame(self)
 
     def jumps_frame(self) -> pl.DataFrame:
         """Return the jumps as a polars DataFrame: receiver, time, low, high (UTC), size, sd (s)."""
-        from maloc.sync._tables import jumps_frame
-
-        return jumps_frame(self)
+        return _tables.jumps_frame(self)
 
     def links_frame(self) -> pl.DataFrame:
         """Return how each link (a sync tag heard by a receiver) fits, a row a link.
@@ -280,21 +208,15 @@ class ClockSync:
         Columns: sync_tag, receiver, distance (m), detections, in_fit, used, median and sd of the
         residuals used (s).
         """
-        from maloc.sync._tables import links_frame
-
-        return links_frame(self)
+        return _tables.links_frame(self)
 
     def summary(self) -> str:
         """Return the fit in a page of text."""
-        from maloc.sync._text import summary
-
-        return summary(self)
+        return _text.summary(self)
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write everything to a NetCDF file (h5netcdf)."""
-        from maloc.sync._files import to_netcdf
-
-        to_netcdf(self, path)
+        _files.to_netcdf(self, path)
 
     @staticmethod
     def from_netcdf(path: str | Path) -> ClockSync:
@@ -305,19 +227,12 @@ class ClockSync:
         InputError
             If the file is not one.
         """
-        from maloc.sync._files import from_netcdf
-
-        return from_netcdf(path)
+        return ClockSync(**_files.from_netcdf(path))
 
     def write(self, folder: str | Path, detections: Detections | None = None) -> list[Path]:
-        """Write the files of `maloc sync` into an existing folder; returns their paths.
-
-        sync.nc, receivers_fitted.csv, residuals.csv, links.csv, jumps.csv, figures and, when the
-        detections are given, detections_synced.parquet.
-        """
-        from maloc.sync._files import write
-
-        return write(self, folder, detections)
+        """Go with the next release: `maloc.runs.sync.write_sync` does this."""
+        name = "ClockSync.write"
+        return moved.call(name, "maloc.runs.sync", "write_sync", self, folder, detections)
 
     def __repr__(self) -> str:
         n, total = int(self.synced.sum()), len(self.synced)

@@ -14,8 +14,9 @@ import numpy as np
 from maloc.data import Detections, Receivers
 from maloc.errors import InputError
 from maloc.sync import _model
-from maloc.sync._fit import fit, prepare
+from maloc.sync._fit import fit
 from maloc.sync._outcome import outcome
+from maloc.sync._prepared import prepare
 from maloc.sync._search import Dated
 from maloc.sync.clocks import ClockSync
 

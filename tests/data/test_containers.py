@@ -22,6 +22,7 @@ from maloc.data import (
     match_tag,
 )
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_receivers, read_toa
 
 T0 = 1_622_548_800_217_000_001
 
@@ -124,7 +125,7 @@ def test_receivers_by_time_and_place():
     names = np.array(["a", "a", "a", "a", "b", "z"])
     times = np.array([-5, day, 2 * day - 1, 2 * day, 2, 2])
     assert r.deployment_of(names, times).tolist() == [0, -1, -1, 2, 1, -1]
-    again = Receivers.from_frame(r.to_frame())
+    again = read_receivers(r.to_frame())
     assert again.start.tolist() == r.start.tolist() and again.end.tolist() == r.end.tolist()
     np.testing.assert_array_equal(again.xy, r.xy)
     assert pickle.loads(pickle.dumps(r)).labels == r.labels
@@ -174,7 +175,7 @@ def test_arrival_times_properties_and_round_trip():
     assert a.n_heard.tolist() == [2, 0, 3, 0]
     assert a.first.tolist() == [1.0, 2.5, 4.0, 5.5]
     assert a.ping.tolist() == [1, 2, 3, 4]
-    b = ArrivalTimes.from_frame(a.to_frame(), receivers())
+    b = read_toa(a.to_frame(), receivers())
     np.testing.assert_array_equal(b.toa, a.toa)
     np.testing.assert_array_equal(b.sound_speed, a.sound_speed)
     np.testing.assert_array_equal(b.depth, a.depth)
@@ -224,7 +225,8 @@ def test_reports_merge_without_repeats():
 def test_importing_the_data_package_loads_neither_jax_nor_polars():
     code = (
         "import sys; from maloc.data import Detections, Receivers, ArrivalTimes, toa_matrix; "
-        "import maloc.data.check; bad = {'jax', 'polars', 'pyproj'} & set(sys.modules); print(bad)"
+        "import maloc.readers.check; "
+        "bad = {'jax', 'polars', 'pyproj'} & set(sys.modules); print(bad)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "set()"
@@ -245,8 +247,10 @@ def test_frames_of_pandas_and_of_text():
         d = Detections.from_frame(other)
         assert d.time.tolist() == [T0, T0 + 5] and d.extra["snr"].tolist() == [1.0, 2.0]
     text = pl.DataFrame({"epo": ["1622548800"], "frac": ["0.25"], "serial": ["7"], "tag": ["A"]})
-    assert Detections.from_frame(text).time.tolist() == [1622548800 * 10**9 + 250_000_000]
+    assert read_detections(text).time.tolist() == [1622548800 * 10**9 + 250_000_000]
     with pytest.raises(InputError, match="unknown header"):
-        Detections.from_frame(pl.DataFrame({"a": [1]}))
+        read_detections(pl.DataFrame({"a": [1]}))
+    with pytest.warns(DeprecationWarning, match="another layout is maloc.readers.read_detections"):
+        assert len(Detections.from_frame(text)) == 1
     with pytest.raises(InputError, match="1 missing values"):
         Detections.from_frame(detections().to_frame().with_columns(tag=pl.Series(["A", None])))

@@ -16,10 +16,11 @@ from maloc.data import (
     covariates,
     encounter_history,
 )
-from maloc.data._encounter_gaps import find_gaps, most_missed
-from maloc.data._encounter_states import chain, interpolate
 from maloc.errors import InputError
-from maloc.renewal import gap_log_likelihood, gap_nodes, interval_law
+from maloc.model_data import prune_bound, to_model_data
+from maloc.model_data.gaps import find_gaps, most_missed
+from maloc.model_data.states import chain, interpolate
+from maloc.schedule.renewal import gap_log_likelihood, gap_nodes, interval_law
 
 START = 1_622_548_800 * 10**9
 XY = np.array([[x, y] for x in (0.0, 300.0, 600.0) for y in (0.0, 300.0)])
@@ -224,7 +225,7 @@ def test_listening_follows_the_deployments():
 
 def test_tags_lie_end_to_end_and_padding_is_nobody():
     h = random_history(np.random.default_rng(10))
-    d = h.to_model_data()
+    d = to_model_data(h)
     s, real = 24, 19
     assert d.time.shape == (s,) and d.dt.shape == (s - 1,) and d.heard.shape == (s, 8)
     assert np.asarray(d.tag).tolist() == [0] * 12 + [1] * 7 + [2] * 5 and d.n_tags == 2
@@ -235,7 +236,7 @@ def test_tags_lie_end_to_end_and_padding_is_nobody():
     assert not np.asarray(d.listening)[real:].any() and not np.asarray(d.listening)[:, 6:].any()
     np.testing.assert_array_equal(np.asarray(d.heard)[:real, :6], h.heard)
     np.testing.assert_array_equal(np.asarray(d.near_xy)[3, :6], XY)
-    bare = h.to_model_data(pad=False)
+    bare = to_model_data(h, pad=False)
     assert bare.time.shape == (real,) and bare.heard.shape == (real, 6)
 
 
@@ -243,7 +244,7 @@ def test_starts_are_the_middles_of_the_hearers():
     heard = np.zeros((3, 6), bool)
     heard[0, :2], heard[2, 4:] = True, True
     h = EncounterHistory([0.0, 1.0, 4.0], [0, 0, 0], heard, receivers())
-    start = np.asarray(h.to_model_data(pad=False).initial)
+    start = np.asarray(to_model_data(h, pad=False).initial)
     np.testing.assert_allclose(start, [[0, 150], [150, 150], [600, 150]])
 
 
@@ -258,7 +259,7 @@ def test_covariates_are_standardised_over_what_listened():
     )  # fmt: skip
     day = covariates.time_of_day(START, period=10.0)
     given = {"depth": covariates.receiver_depth(h.receivers), "wind": wind, "noise": noise, **day}
-    got = np.asarray(h.replace(covariates=given).to_model_data(pad=False).covariates)
+    got = np.asarray(to_model_data(h.replace(covariates=given), pad=False).covariates)
     assert got.shape == (19, 6, 5)
     np.testing.assert_allclose(
         got[:, :, 0], np.broadcast_to((depth - depth.mean()) / depth.std(), (19, 6))
@@ -270,9 +271,9 @@ def test_covariates_are_standardised_over_what_listened():
     angle = np.sin(2 * np.pi * h.time / 10)
     np.testing.assert_allclose(got[:, 0, 3], (angle - angle.mean()) / angle.std())
     with pytest.raises(InputError, match="one value everywhere"):
-        h.replace(covariates={"a": np.ones(6)}).to_model_data()
+        to_model_data(h.replace(covariates={"a": np.ones(6)}))
     with pytest.raises(InputError, match="'a' has shape"):
-        h.replace(covariates={"a": np.ones(5)}).to_model_data()
+        to_model_data(h.replace(covariates={"a": np.ones(5)}))
 
 
 # -- pruning ----------------------------------------------------------------------------------
@@ -293,8 +294,8 @@ def test_pruning_changes_the_likelihood_by_less_than_its_bound(reach):
     h = random_history(rng, schedule=Schedule(), known=True)
     near = rng.uniform(0, 300, (19, 2))
     few = h.prune(near, reach=reach)
-    bound = few.prune_bound(150.0, 0.9, margin=80.0)
-    full, less = h.to_model_data(pad=False), few.to_model_data(pad=False)
+    bound = prune_bound(few, 150.0, 0.9, margin=80.0)
+    full, less = to_model_data(h, pad=False), to_model_data(few, pad=False)
     assert np.asarray(less.listening).sum() < 19 * 6 or reach == 700
     assert np.asarray(less.heard).sum() == h.heard.sum()
     worst = 0.0
@@ -306,7 +307,7 @@ def test_pruning_changes_the_likelihood_by_less_than_its_bound(reach):
             worst = max(worst, abs(gap - log_likelihood(full, position, 0.9, 150.0, lost)))
     assert worst <= bound
     assert worst > 0.02 * bound > 0 or reach == 700
-    assert h.prune_bound(150.0) == 0
+    assert prune_bound(h, 150.0) == 0
 
 
 def test_intervals_stated_without_the_pings_length_are_pointed_out():
@@ -357,7 +358,7 @@ def test_states_are_pings_and_the_nodes_of_the_gaps():
         np.testing.assert_allclose(states.time[at], gap.start + nodes)
         assert (states.tag[at] == gap.tag).all()
     assert [len(nodes) for _, nodes, _ in states.gaps][1] == 0  # 1.5 s: no ping fits in
-    d = h.to_model_data()
+    d = to_model_data(h)
     ping = np.asarray(d.ping)
     assert ping.sum() == 4 and not np.asarray(d.heard)[~ping].any()
     real = np.asarray(d.valid)
@@ -373,7 +374,7 @@ def test_pruning_in_gaps_changes_their_likelihood_by_less_than_the_bound():
     h = random_history(rng, n=(6,), time=time, heard=heard, schedule=Schedule("random", 1, 2))
     near = rng.uniform(0, 200, (6, 2))
     few = h.prune(near, reach=450.0)
-    full, less = h.to_model_data(pad=False), few.to_model_data(pad=False)
+    full, less = to_model_data(h, pad=False), to_model_data(few, pad=False)
     states = chain(h)
     at = interpolate(h, states, near)
 
@@ -386,4 +387,4 @@ def test_pruning_in_gaps_changes_their_likelihood_by_less_than_the_bound():
         return here + float(np.asarray(gap_log_likelihood(data.gaps, log_q)).sum())
 
     change = abs(total(full) - total(less))
-    assert 0 < change <= few.prune_bound(200.0, 0.8)
+    assert 0 < change <= prune_bound(few, 200.0, 0.8)

@@ -5,10 +5,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from maloc.data import Detections, Receivers, prepare, read_detections
+from maloc.data import Detections, Receivers, prepare
 from maloc.data._screen import _heaviest
-from maloc.data.check import check
 from maloc.data.preparation import clock_notes
+from maloc.readers import read_detections
+from maloc.readers.check import check
 
 NS = 1_000_000_000
 T0 = 1_622_548_800 * NS

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from maloc.data import Detections, read_tags, sensor_values
+from maloc.data import Detections, sensor_values
 from maloc.data._codespaces import canonical, same_tags
 from maloc.errors import InputError
+from maloc.readers import read_tags
 
 NS = 1_000_000_000
 T0 = 1_622_548_800 * NS

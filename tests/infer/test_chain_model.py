@@ -12,6 +12,7 @@ import maloc.infer
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
 from maloc.infer._model import chain_model
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests.infer import cases
 from tests.oracles import from_band
@@ -53,7 +54,7 @@ def assert_same(ours, wanted, tol=1e-9):
 @pytest.mark.parametrize(("movement", "error", "schedule", "speed"), OPTIONS)
 def test_toa_track_band_is_the_hessian(movement, error, schedule, speed):
     times, _, position = cases.toa(kind=schedule)
-    args = (times.to_model_data(),)
+    args = (to_model_data(times),)
     assert bool((~args[0].valid).any())  # some padding is in it
     options = {"movement": movement, "error": error, "sound_speed": speed}
     cm = chain_model(toa_track, options, args)
@@ -95,7 +96,7 @@ def test_band_of_models_that_no_library_ships(name):
 def test_gauss_newton_of_gaussian_arrivals():
     """Prior's Hessian plus J'J / sigma^2, J the Jacobian of the predicted arrivals."""
     times, _, position = cases.toa()
-    args = (times.to_model_data(pad=False),)
+    args = (to_model_data(times, pad=False),)
     options = {"movement": "rw", "error": "gaussian", "sound_speed": "given"}
     cm = chain_model(toa_track, options, args)
     x, u = some_point(cm, args)

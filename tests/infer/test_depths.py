@@ -9,9 +9,7 @@ import pytest
 
 from maloc import infer
 from maloc.data import WaterColumn
-from maloc.data.depth_data import depth_data
 from maloc.data.water_column import flat_warning
-from maloc.depth import bottom_at
 from maloc.infer._bridge import PathDraws
 from maloc.infer._depths import DepthDraws, expected_depths
 from maloc.infer._export import write_posterior
@@ -20,6 +18,8 @@ from maloc.models import toa_track
 from maloc.movement import OU
 from maloc.points.altitude import Terrain
 from maloc.predict import prediction_table, read_tracks
+from maloc.world.depth import bottom_at
+from maloc.world.depth_data import depth_data
 from simulations import depth as study
 from tests.infer.cases import receivers
 

@@ -8,6 +8,7 @@ from maloc._jax import jnp
 from maloc.infer._model import chain_model
 from maloc.infer.initial import initial_values, repair
 from maloc.infer.mode import find_mode
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests.infer import cases
 
@@ -17,7 +18,7 @@ OPTIONS = {"movement": "rw", "error": "ddetect"}
 @pytest.fixture(scope="module")
 def problem():
     times, emission, position = cases.toa(seed=1, p_late=0.15, unheard=())
-    args = (times.to_model_data(),)
+    args = (to_model_data(times),)
     return chain_model(toa_track, OPTIONS, args), args, position
 
 
@@ -25,7 +26,7 @@ def problem():
 def test_a_fit_from_nothing_is_the_fit_from_the_truth(seed, problem):
     """15 % of the arrivals late: the same mode as a start on the true track finds."""
     times, _, position = cases.toa(seed=seed, p_late=0.15, unheard=())
-    x, u = initial_values(problem[0], (times.to_model_data(),))
+    x, u = initial_values(problem[0], (to_model_data(times),))
     values, _ = problem[0].sites(jnp.asarray(x), jnp.asarray(u))
     assert 0.1 < values["sigma"] < 3
     assert 0.01 < values["w"] < 0.5

@@ -11,6 +11,7 @@ from maloc._jax import jax, jnp
 from maloc.infer._model import chain_model
 from maloc.infer.marginal import _Marginal
 from maloc.infer.mode import _factor, _row_sums, anneal, find_mode
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests import oracles
 from tests.infer import cases
@@ -167,7 +168,7 @@ def test_factor_of_an_indefinite_band():
 def test_annealing_finds_the_track(toa):
     """From the middle of the array to within metres of the truth, wild arrivals or not."""
     times, _, position = toa
-    args = (times.to_model_data(),)
+    args = (to_model_data(times),)
     options = {"movement": "ctcrw", "error": "ddetect", "sound_speed": "given"}
     cm = chain_model(toa_track, options, args)
     u = cm.flat_globals({"sigma": 2.0, "sigma_vel": 0.3, "t05": 260.0, "w": 0.1})
@@ -194,7 +195,7 @@ class TestToaTrack:
         assert off.max() < 2.0 / cases.SPEED
 
     def test_padding_changes_nothing(self, toa, laplace_fit):
-        plain = maloc.infer.laplace(toa_track, toa[0].to_model_data(pad=False))
+        plain = maloc.infer.laplace(toa_track, to_model_data(toa[0], pad=False))
         assert plain.args[0].valid.all()
         assert not laplace_fit.args[0].valid.all()
         np.testing.assert_allclose(laplace_fit.marginal.u, plain.marginal.u, atol=1e-4)

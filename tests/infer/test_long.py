@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import maloc
-from maloc._stages import Stages
+from maloc.data._stages import Stages
 from maloc.infer import _windows, long
 from maloc.infer._model import chain_model
 from maloc.infer.mode import find_mode
+from maloc.model_data import to_model_data
 from maloc.simulate import canal_toa
 from tests import oracles
 
@@ -24,7 +25,7 @@ def pieces():
     heard = toa.toa.copy()
     heard[56:67, 1:] = np.nan  # about a seam: neighbours far away must be felt through it
     heard[56:67, 0] = toa.first[56:67] + 0.1
-    args = (toa.replace(toa=heard).to_model_data(),)
+    args = (to_model_data(toa.replace(toa=heard)),)
     cm = chain_model(maloc.models.toa_track, HOW, args)
     args = long.long_arguments(args, cm, 28)
     assert args is not None and len(args[0].valid) == 136

@@ -17,6 +17,7 @@ from maloc.infer._diagnostics import ess_bulk
 from maloc.infer._hmc import CHUNK, Chunk, Kernel, off_resonance
 from maloc.infer._map import from_white, make_map, potential
 from maloc.infer.result import SampledFit
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests import oracles
 from tests.infer import cases
@@ -117,7 +118,7 @@ def test_a_kernel_is_compiled_once(fixes_fit, method, caplog):
 def test_three_samplers_agree():
     """NUTS and HMC of the engine, and NumPyro's NUTS on the bare model, on arrival times."""
     times, _, _ = cases.toa(seed=5, pings=7, n_receivers=6, p_heard=0.9, unheard=())
-    start = maloc.infer.laplace(toa_track, times.to_model_data(pad=False), movement="rw")
+    start = maloc.infer.laplace(toa_track, to_model_data(times, pad=False), movement="rw")
     draws = {}
     for method in ("nuts", "hmc"):
         fit = maloc.infer.nuts(jax.random.key(3), start, draws=800, method=method, progress=False)

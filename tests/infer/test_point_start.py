@@ -8,6 +8,7 @@ import pytest
 import maloc
 from maloc.errors import InputError
 from maloc.infer.point_start import checked_positions, pmc_positions
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from maloc.simulate import canal_toa
 from tests.infer import cases
@@ -23,14 +24,14 @@ def study():
 @pytest.mark.extended
 def test_positions_are_near_the_truth_and_straight_where_few_heard(study):
     toa, truth = study
-    data = toa.to_model_data()
+    data = to_model_data(toa)
     found = pmc_positions(data)
     assert found is not None and found.shape == (len(np.asarray(data.time)), 2)
     error = np.linalg.norm(found[: len(truth)] - truth, axis=1)
     assert np.median(error) < 6
     gap = np.array(toa.toa)
     gap[100, np.argsort(~toa.heard[100], kind="stable")[2:]] = np.nan  # two arrivals left
-    less = pmc_positions(toa.replace(toa=gap).to_model_data())
+    less = pmc_positions(to_model_data(toa.replace(toa=gap)))
     assert less is not None
     time = np.asarray(data.time)
     share = (time[100] - time[99]) / (time[101] - time[99])
@@ -47,7 +48,7 @@ def test_the_mode_is_that_of_the_annealed_start():
 def test_too_few_arrivals_fall_back_and_other_names_are_refused(study):
     toa, _ = study
     two = np.argsort(np.argsort(~toa.heard, axis=1, kind="stable"), axis=1) < 2
-    data = toa.replace(toa=np.where(two, toa.toa, np.nan)).to_model_data()
+    data = to_model_data(toa.replace(toa=np.where(two, toa.toa, np.nan)))
     assert checked_positions((data,), "pmc") is None
     assert checked_positions((data,), None) is None
     with pytest.raises(InputError, match="'magic' are unknown"):

@@ -8,6 +8,7 @@ import pytest
 from maloc.data import Schedule, arrival_history
 from maloc.infer._beat import _smooth, smooth_beat
 from maloc.infer._grid import grid_paths
+from maloc.model_data import to_model_data
 from tests.infer import cases
 
 EXTENDED = pytest.mark.extended
@@ -62,7 +63,7 @@ def test_beat_leaves_wild_times_out_of_account():
 def test_grid_finds_the_track():
     """Six receivers, all heard: mean path within a cell or two; draws scatter about it."""
     toa, _, position = cases.toa(pings=30, unheard=(4,))
-    data = arrival_history(toa).to_model_data()
+    data = to_model_data(arrival_history(toa))
     paths = grid_paths(data, None, None, 1.0, 0.4, 2, np.random.default_rng(0))
     assert paths.shape == (3, len(data.time), 2)
     off = np.linalg.norm(paths[0][:30] - position, axis=1)
@@ -80,7 +81,7 @@ def test_silence_alone_places_a_tag_on_the_grid():
     one = np.zeros_like(heard)
     one[np.arange(40), np.where(heard, away, np.inf).argmin(axis=1)] = True
     sparse = toa.replace(toa=np.where(heard & one, toa.toa, np.nan))
-    data = arrival_history(sparse, known=True).to_model_data()
+    data = to_model_data(arrival_history(sparse, known=True))
 
     def hit(d):
         return -0.5 * (d / 50) ** 2

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 import maloc.infer
 from maloc._jax import jnp
-from maloc._predict_run import run_predict
 from maloc.cli import app
 from maloc.errors import InputError
 from maloc.infer._export import write_posterior
@@ -21,7 +20,8 @@ from maloc.infer._paths import path_draws
 from maloc.infer._stored import movement_group
 from maloc.movement import OU
 from maloc.predict import prediction_table, read_tracks, regular_times
-from maloc.statespace import SoftBox
+from maloc.runs.predict import run_predict
+from maloc.world.statespace import SoftBox
 from tests.infer import cases
 
 ORIGIN = 1_700_000_000_250_000_000  # ns: a quarter of a second past a whole one

@@ -4,6 +4,7 @@ import numpy as np
 
 import maloc
 from maloc.infer._stretches import leaps, straighten
+from maloc.model_data import to_model_data
 from maloc.simulate.canal import simulate_canal
 
 
@@ -14,7 +15,7 @@ def a_track(track, p_na, p_mp):
 
 def test_leaps_by_hand():
     toa, xy = a_track(0, 0.0, 0.0)
-    data = toa.to_model_data()
+    data = to_model_data(toa)
     still = np.zeros((len(data.time), 2))
     values = {"sigma_vel": 0.1, "t05": 300.0}
     assert leaps(data, still, values) == []

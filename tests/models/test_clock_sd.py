@@ -10,6 +10,7 @@ from maloc._jax import jax, jnp
 from maloc.data import arrival_history
 from maloc.errors import InputError
 from maloc.infer.track import track_table
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests.infer import cases
 
@@ -43,9 +44,9 @@ def test_density_is_that_of_the_two_errors_together(times):
     def density(data):
         return log_density(toa_track, (data,), {"movement": "rw", "error": "gaussian"}, given)[0]
 
-    plain = times.to_model_data(pad=False)
+    plain = to_model_data(times, pad=False)
     clocks, exact = (
-        times.replace(clock_sd=s).to_model_data(pad=False) for s in (sd, np.zeros(sd.shape))
+        to_model_data(times.replace(clock_sd=s), pad=False) for s in (sd, np.zeros(sd.shape))
     )
     distance = np.linalg.norm(
         np.asarray(given["track"])[:, None] - np.asarray(plain.receiver_xy), axis=-1
@@ -71,10 +72,10 @@ def test_a_track_is_less_sure_where_clocks_were(times):
 
 
 def test_a_history_of_the_joint_model_reads_them(times):
-    data = arrival_history(unsure(times, 0.01)).to_model_data(pad=False)
+    data = to_model_data(arrival_history(unsure(times, 0.01)), pad=False)
     assert np.asarray(data.clock_sd)[GAP] == pytest.approx(0.01 * cases.SPEED)
     assert (np.asarray(data.clock_sd)[: GAP.start] == 0).all()
-    assert (np.asarray(arrival_history(times).to_model_data().clock_sd) == 0).all()
+    assert (np.asarray(to_model_data(arrival_history(times)).clock_sd) == 0).all()
 
 
 def test_a_negative_standard_error_is_refused(times):

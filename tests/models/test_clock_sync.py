@@ -10,11 +10,11 @@ from scipy.stats import multivariate_normal
 
 import maloc.infer
 from maloc import sync
-from maloc._clock_walk import ClockWalk
 from maloc._jax import jax, jnp
-from maloc.data.clock_pings import as_clock_pings
+from maloc.model_data.clock_pings import as_clock_pings
 from maloc.models import clock_sync
 from maloc.simulate.sync_array import sync_array
+from maloc.world.clock_walk import ClockWalk
 
 ARRAY = sync_array(
     np.random.default_rng([4, 7]), 3, 0.12, jumps=(0, 0), interval=(250.0, 350.0), offset=100.0

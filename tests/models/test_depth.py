@@ -10,10 +10,11 @@ from scipy.stats import norm
 
 from maloc._jax import jax
 from maloc.data import WaterColumn, arrival_history
-from maloc.depth import depth_of
 from maloc.errors import InputError
 from maloc.infer._model import chain_model
+from maloc.model_data import to_model_data
 from maloc.models import joint, toa_track
+from maloc.world.depth import depth_of
 from simulations import depth as study
 
 
@@ -51,7 +52,7 @@ def test_chain_against_dense_hessian(simulated, model):
     toa = simulated.toa.replace(column=WaterColumn(80.0, 1.0))
     how = {"error": "gaussian"} if model == "toa" else {"arrivals": "gaussian"}
     fn, data = (toa_track, toa) if model == "toa" else (joint, arrival_history(toa))
-    args = (data.to_model_data(pad=False),)
+    args = (to_model_data(data, pad=False),)
     cm = chain_model(fn, how, args)
     x, u = point(cm, args)
     band = np.asarray(cm.exact(x, u, args, 0.0)[2])
@@ -70,7 +71,7 @@ def test_chain_against_dense_hessian(simulated, model):
 def test_density_by_hand(simulated):
     """What depth adds to the density: slant ranges, the path's law, the sensor's."""
     toa = simulated.toa.replace(column=WaterColumn(80.0, 1.5))
-    args, flat = (toa.to_model_data(),), (simulated.toa.to_model_data(),)
+    args, flat = (to_model_data(toa),), (to_model_data(simulated.toa),)
     how = {"error": "gaussian"}
     cm, plain = chain_model(toa_track, how, args), chain_model(toa_track, how, flat)
     x, u = point(cm, args)
@@ -105,12 +106,12 @@ def test_density_by_hand(simulated):
 
 def test_exact_depths_cost_no_path(simulated):
     known = simulated.toa.replace(depth=simulated.place[:, 2], column=WaterColumn(80.0, 0.0))
-    args = (known.to_model_data(),)
+    args = (to_model_data(known),)
     assert args[0].depth.known
-    flat = (simulated.toa.to_model_data(),)
+    flat = (to_model_data(simulated.toa),)
     assert chain_model(toa_track, {}, args).d == chain_model(toa_track, {}, flat).d
     one = simulated.toa.replace(depth=np.full(len(known), 12.0), column=WaterColumn(80.0, 0.0))
-    assert one.to_model_data().depth.known
+    assert to_model_data(one).depth.known
 
 
 def test_what_cannot_be():
@@ -119,9 +120,9 @@ def test_what_cannot_be():
     lost[2] = np.nan
     wrong = toa.replace(receivers=replace(toa.receivers, depth=lost), column=WaterColumn())
     with pytest.raises(InputError, match="receiver R2 has no depth"):
-        wrong.to_model_data()
+        to_model_data(wrong)
     with pytest.raises(InputError, match="below the bottom at 20 m"):
-        toa.replace(depth=np.full(5, 40.0), column=WaterColumn(20.0)).to_model_data()
+        to_model_data(toa.replace(depth=np.full(5, 40.0), column=WaterColumn(20.0)))
     with pytest.raises(InputError, match="not below the surface"):
         WaterColumn(-3.0)
     with pytest.raises(InputError, match="is negative"):

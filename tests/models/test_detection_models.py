@@ -11,9 +11,11 @@ from scipy.stats import halfnorm, lognorm, norm
 
 import maloc.models
 from maloc._jax import jax, jnp
-from maloc.data import EncounterHistory, Receivers, Schedule
+from maloc.data import EncounterHistory, Schedule
 from maloc.detection import squared_distance
-from maloc.renewal import gap_log_likelihood
+from maloc.model_data import to_model_data
+from maloc.readers import read_receivers
+from maloc.schedule.renewal import gap_log_likelihood
 
 NAMES = ("independent", "detection_only", "known_interval", "unknown_interval")
 P0, SCALE, SIGMA = 0.6, 0.9, 0.4
@@ -23,7 +25,7 @@ def array():
     x, y = (part.ravel() for part in np.meshgrid(np.arange(4.0), np.arange(3.0)))
     names = np.array([f"R{i}" for i in range(12)])
     nothing = np.full(12, np.nan)
-    return Receivers.from_frame({"receiver": names, "x": x, "y": y, "depth": nothing})
+    return read_receivers({"receiver": names, "x": x, "y": y, "depth": nothing})
 
 
 def history(tags=2, unheard=(2,), **changes):
@@ -47,7 +49,7 @@ def data_for(name, **changes):
     made = history(**changes)
     if name == "unknown_interval":
         made = made.detected()
-    return made.to_model_data(pad=False)
+    return to_model_data(made, pad=False)
 
 
 def start_law(position, data):
@@ -175,7 +177,7 @@ def test_options(name):
 
 
 def test_a_schedule_is_needed():
-    bare = history().without_schedule().to_model_data(pad=False)
+    bare = to_model_data(history().without_schedule(), pad=False)
     with pytest.raises(ValueError, match="burst interval"):
         handlers.trace(handlers.seed(maloc.models.unknown_interval, 0)).get_trace(bare)
 
@@ -184,7 +186,7 @@ def test_a_schedule_is_needed():
 def test_padding_changes_nothing(name):
     """Up to what padding itself is worth, which does not depend on the rest."""
     made = history() if name != "unknown_interval" else history().detected()
-    bare, padded = made.to_model_data(pad=False), made.to_model_data()
+    bare, padded = to_model_data(made, pad=False), to_model_data(made)
     more = len(padded.time) - len(bare.time)
     assert more > 0
     model = getattr(maloc.models, name)

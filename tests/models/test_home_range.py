@@ -8,6 +8,7 @@ import maloc
 import maloc.infer
 from maloc._jax import jax, jnp
 from maloc.data import ArrivalTimes
+from maloc.model_data import to_model_data
 from maloc.models import joint, known_interval, toa_track
 from maloc.movement import OU
 from tests.infer import cases
@@ -65,7 +66,7 @@ def test_each_tag_has_its_own_home():
 
 def test_detection_models_take_it():
     """Density of the path's site is that of `OU` with the homes of the trace."""
-    data = maloc.EncounterHistory.from_arrivals(arrivals(3, 8), True).to_model_data(pad=False)
+    data = to_model_data(maloc.EncounterHistory.from_arrivals(arrivals(3, 8), True), pad=False)
     how = {"movement": "ou", "hierarchical": True}
 
     @jax.jit

@@ -9,9 +9,10 @@ from scipy.stats import multivariate_normal
 import maloc
 from maloc._jax import jax, jnp
 from maloc.data import Schedule, arrival_history
-from maloc.drift import GaussMarkov, IntervalDrift, interval_step
-from maloc.habitat import water
+from maloc.model_data import to_model_data
 from maloc.models import joint, known_interval, toa_track, unknown_interval
+from maloc.world.drift import GaussMarkov, IntervalDrift, interval_step
+from maloc.world.habitat import water
 from tests.infer import cases
 
 
@@ -38,7 +39,7 @@ def test_arrivals_alone_are_toa_track(movement, error, kind):
     toa = times(kind)
     values = latent(toa_track, (toa,), movement=movement, error=error)
     theirs = density(toa_track, toa, values, movement=movement, error=error)
-    data = arrival_history(toa, known=False).to_model_data(pad=False)
+    data = to_model_data(arrival_history(toa, known=False), pad=False)
     assert data.silence != "given"
     ours = density(joint, data, values, movement=movement, arrivals=error, detection=None)
     assert ours == pytest.approx(theirs, rel=1e-10)
@@ -47,8 +48,8 @@ def test_arrivals_alone_are_toa_track(movement, error, kind):
 @pytest.mark.parametrize("kind", ["halfnormal", "hazard"])
 def test_silence_alone_is_the_detection_model(kind):
     alone = {"movement": "rw", "arrivals": None, "detection": kind, "range_drift": False}
-    given = arrival_history(times(unheard=(2, 3))).to_model_data(pad=False)
-    summed = arrival_history(times("random"), known=False).to_model_data(pad=False)
+    given = to_model_data(arrival_history(times(unheard=(2, 3))), pad=False)
+    summed = to_model_data(arrival_history(times("random"), known=False), pad=False)
     assert (given.silence, summed.silence) == ("given", "summed")
     for model, data in ((known_interval, given), (unknown_interval, summed)):
         how = {"movement": "rw", "detection": kind}

@@ -17,6 +17,7 @@ import maloc.models
 from maloc._jax import jax, jnp
 from maloc.data import Schedule
 from maloc.detection import squared_distance
+from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests.infer import cases
 
@@ -216,7 +217,7 @@ def test_plain_nuts_runs():
 def test_density_of_toa_track_by_hand():
     """Log joint of one configuration, term by term with SciPy."""
     times = data()
-    model_data = times.to_model_data(pad=False)
+    model_data = to_model_data(times, pad=False)
     rng = np.random.default_rng(0)
     position = rng.normal(0, 20, (6, 2))
     emission = -60 + rng.normal(0, 1, 6)

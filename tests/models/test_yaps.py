@@ -17,6 +17,7 @@ from benchmarks import yaps as benchmark
 from maloc._jax import jax, jnp
 from maloc.infer.initial import _T3_MIDDLE, _middle_size
 from maloc.infer.long import LongFit
+from maloc.model_data import to_model_data
 from maloc.models import yaps
 from tests.infer import cases
 
@@ -26,7 +27,7 @@ FREE = {"sigma_step": 0.7, "sigma": 1.3, "t_scale": 40.0, "w": 0.1}
 def log_joint(toa, values, **options):
     @jax.jit
     def density(values):
-        return log_density(yaps, (toa.to_model_data(pad=False),), options, values)[0]
+        return log_density(yaps, (to_model_data(toa, pad=False),), options, values)[0]
 
     return float(density({k: jnp.asarray(v) for k, v in values.items()}))
 
@@ -121,7 +122,7 @@ def test_a_track_on_a_beat_is_found():
     z2 = np.einsum("ti,tij,tj->t", off, np.linalg.inv(covariance), off)
     assert z2.max() < 25  # chi squared, 2 df: 4e-6
     x, u = fit.flat_draws()
-    found = fit.cm.natural(np.asarray(fit.moments()[0]), u[0, 0], (toa.to_model_data(pad=False),))
+    found = fit.cm.natural(np.asarray(fit.moments()[0]), u[0, 0], (to_model_data(toa, pad=False),))
     assert np.asarray(found["emission_time"]) == pytest.approx(emission[heard], abs=2e-3)
     # emission times are sums of the intervals
     steps = np.diff(found["emission_time"])[[0, 1, 2, -2]]

@@ -8,8 +8,9 @@ import json
 import numpy as np
 import pytest
 
-from maloc.data import Schedule, read_detections, read_receivers, read_toa
+from maloc.data import Schedule
 from maloc.errors import InputError
+from maloc.readers import read_detections, read_receivers, read_toa
 from maloc.simulate import SCENARIOS, Hearing, canal_toa, simulate
 from maloc.simulate.animals import in_polygon
 from maloc.simulate.arrays import canal

@@ -7,21 +7,21 @@ import polars as pl
 import pytest
 from scipy.stats import binom
 
-from maloc import _canal
-from maloc._canal_cases import own_cases
-from maloc._canal_methods import METHODS, Located
-from maloc._canal_thesis import STEPS_C1, TABLE_C1
 from maloc.biology.space import inside
 from maloc.simulate.arrays import canal
 from maloc.simulate.canal import CanalDesign
+from maloc.studies.canal import study
+from maloc.studies.canal.cases import own_cases
+from maloc.studies.canal.methods import METHODS, Located
+from maloc.studies.canal.thesis import STEPS_C1, TABLE_C1
 from simulations import thesis_table
 
-SETTINGS = _canal.Settings(CanalDesign(n_pings=60, in_water=True))
+SETTINGS = study.Settings(CanalDesign(n_pings=60, in_water=True))
 
 
 @pytest.fixture(scope="module")
 def case():
-    return _canal.case_of(SETTINGS, own_cases(1, (0.2,), (0.06,))[0])
+    return study.case_of(SETTINGS, own_cases(1, (0.2,), (0.06,))[0])
 
 
 def error(found, case):
@@ -30,8 +30,8 @@ def error(found, case):
 
 def test_fish_keep_to_the_water(case):
     assert inside(case.truth, canal().water).all()
-    roaming = _canal.Settings(CanalDesign(n_pings=60))
-    free = _canal.case_of(roaming, own_cases(1, (0.2,), (0.06,))[0])
+    roaming = study.Settings(CanalDesign(n_pings=60))
+    free = study.case_of(roaming, own_cases(1, (0.2,), (0.06,))[0])
     assert not inside(free.truth, canal().water).all()
 
 
@@ -50,7 +50,7 @@ def test_filters_take_from_least_squares_and_change_nothing_else(case):
 
 @pytest.mark.parametrize("movement", ["", "-rw", "-crw"])
 def test_the_smoother_beats_the_filter_where_nothing_is_late(movement):
-    clean = _canal.case_of(SETTINGS, own_cases(1, (0.5,), (0.0,))[0])
+    clean = study.case_of(SETTINGS, own_cases(1, (0.5,), (0.0,))[0])
     kept = np.isfinite(METHODS["ls-three"](clean, SETTINGS).position).all(axis=1)
     forth, back = (METHODS[f"ls-{step}{movement}"](clean, SETTINGS) for step in ("kf", "rts"))
     for found in (forth, back):
@@ -60,7 +60,7 @@ def test_the_smoother_beats_the_filter_where_nothing_is_late(movement):
 
 
 def test_ek_toa_has_every_heard_ping(case):
-    clean = _canal.case_of(SETTINGS, own_cases(1, (0.2,), (0.0,))[0])
+    clean = study.case_of(SETTINGS, own_cases(1, (0.2,), (0.0,))[0])
     found = METHODS["ek-toa"](clean, SETTINGS)
     off = error(found, clean)
     np.testing.assert_array_equal(np.isfinite(off), clean.toa.n_heard > 0)
@@ -89,7 +89,7 @@ def test_the_command_in_small(tmp_path, capsys, monkeypatch):
         return Located(position, sd, position - 1, position + 1)
 
     def inline(settings, cases, methods, out, **_):
-        jobs = [_canal.fit_job(settings, c, m) for c in cases for m in methods]
+        jobs = [study.fit_job(settings, c, m) for c in cases for m in methods]
         return pl.concat(jobs, how="diagonal_relaxed")
 
     monkeypatch.setitem(METHODS, "toa", half)

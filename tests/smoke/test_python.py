@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import maloc
+from maloc.model_data import to_model_data
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +92,5 @@ def test_numpyros_own_sampler_takes_a_model(toa):
 
     from maloc._jax import jax
 
-    drawn = Predictive(maloc.models.toa_track, num_samples=3)(
-        jax.random.key(0), toa.to_model_data()
-    )
+    drawn = Predictive(maloc.models.toa_track, num_samples=3)(jax.random.key(0), to_model_data(toa))
     assert np.isfinite(np.asarray(drawn["sigma"])).all() and len(drawn["sigma"]) == 3

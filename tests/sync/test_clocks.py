@@ -5,8 +5,10 @@ import polars as pl
 import pytest
 
 from maloc import sync
-from maloc.data import Detections, read_receivers
+from maloc.data import Detections
 from maloc.errors import InputError
+from maloc.readers import read_receivers
+from maloc.runs.sync import write_sync
 from maloc.sync import ClockSync
 from tests.sync.simulated import ORIGIN, simulate
 
@@ -89,7 +91,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 def test_write_makes_every_file_of_the_command(fitted, tmp_path):
-    paths = fitted.write(tmp_path, TRUTH.detections)
+    paths = write_sync(fitted, tmp_path, TRUTH.detections)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(p.name for p in paths)
     assert {p.name for p in paths} == {
         "sync.nc",

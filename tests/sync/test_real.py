@@ -6,7 +6,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from maloc import sync
-from maloc.data import Receivers, read_detections, read_receivers
+from maloc.data import Receivers
+from maloc.readers import read_detections, read_receivers
 
 TAG = "A69-1602-15266"
 

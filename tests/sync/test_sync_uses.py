@@ -83,7 +83,7 @@ def test_apply_gives_each_time_its_standard_error(fitted):
 
 
 def test_sound_speed_from_a_table_of_temperatures():
-    from maloc.medium import mackenzie
+    from maloc.world.medium import mackenzie
 
     table = pl.DataFrame(
         {

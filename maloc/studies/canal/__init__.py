@@ -1,0 +1,3 @@
+"""The canal study."""
+
+__all__: list[str] = []

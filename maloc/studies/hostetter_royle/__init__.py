@@ -1,0 +1,3 @@
+"""The study of Hostetter & Royle (2020) again."""
+
+__all__: list[str] = []
