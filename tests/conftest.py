@@ -38,7 +38,7 @@ SHARED = ROOT.parent / "shared"
 
 # What a module imports where its tests let XLA compile: all but a few, which say so themselves.
 COMPILING = re.compile(
-    r"maloc\._jax|numpyro|maloc\.(infer|points|models|evaluate|simulate|predict|signal|intervals|rangetest)\b"
+    r"maloc\._jax|numpyro|maloc\.(infer|points|models|evaluate|simulate|predict|schedule|detection|studies)\b"
     r"|maloc import .*\b(infer|models|points|simulate|sync)\b"
     r"|CliRunner|subprocess|simulations|benchmarks|fakes"
 )
