@@ -54,7 +54,7 @@ def test_kill_9_and_go_on(tmp_path):
     code = f"""
         import sys, time
         from pathlib import Path
-        sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(Path(__file__).parents[2])!r}]
+        sys.path[:0] = {[str(p) for p in Path(__file__).parents[:3]]!r}
         from test_tags_run import Job, key_of, run_each, square
         def slow(log, n):
             time.sleep(0.2)
