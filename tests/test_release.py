@@ -85,7 +85,7 @@ def test_installed_outside_it_does_the_main_job(dist, root_dir, tmp_path, kind):
     (file,) = dist.glob(kind)
     pins = ["-c", root_dir / "constraints.txt"]
     run(python, "-m", "pip", "install", "--quiet", *pins, file, cwd=tmp_path)
-    found = run(python, "-c", "import maloc.models.joint as m; print(m.__file__)", cwd=tmp_path)
+    found = run(python, "-c", "import maloc.models as m; print(m.__file__)", cwd=tmp_path)
     assert Path(found.strip()).is_relative_to(tmp_path / "env")
     assert run(command, "--version", cwd=tmp_path) == f"maloc {maloc.__version__}\n"
     run(command, "simulate", "data", "--scenario", "canal", "--pings", 60, cwd=tmp_path)
