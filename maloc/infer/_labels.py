@@ -105,7 +105,11 @@ def names_of(fit: Fitted) -> Names:
 def _pings(fit: Fitted, data: Any, names: Names, tags: tuple[str, ...]) -> dict[str, tuple]:
     n, keep = fit.n_states, names.states
     heard = np.asarray(getattr(data, "encounters", data).heard)[:n][keep].any(axis=1)
-    tag = np.zeros(len(heard), int) if isinstance(data, ToaData) else np.asarray(data.tag)[:n][keep]
+    tag = (
+        np.zeros(int(keep.sum()), int)
+        if isinstance(data, ToaData)
+        else np.asarray(data.tag)[:n][keep]
+    )
     first = np.unique(tag, return_index=True)[1]
     number = np.arange(len(tag)) - first[np.searchsorted(tag[first], tag)] + 1
     if isinstance(data, ToaData) and fit.source is not None:

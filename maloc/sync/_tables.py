@@ -73,7 +73,7 @@ def links_frame(sync: Clocks) -> pl.DataFrame:
 
     used = pl.col("residual").filter(pl.col("used"))
     return (
-        sync.residuals_frame()
+        residuals_frame(sync)
         .group_by("sync_tag", "receiver")
         .agg(
             pl.col("distance").mean(),
