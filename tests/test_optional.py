@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+import maloc.emitters
 from maloc.errors import InputError, needs
 
 
@@ -71,6 +72,9 @@ def test_missing(module, monkeypatch, tmp_path):
     for name in [n for n in sys.modules if n.split(".")[0] == module]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delitem(sys.modules, "maloc.emitters._stonesoup", raising=False)
+    monkeypatch.delattr(
+        maloc.emitters, "_stonesoup", raising=False
+    )  # where another test imported it
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as said:
         use(tmp_path)
