@@ -1,4 +1,5 @@
 # make demo   set up, simulate an array, track a tag in it, compare with the truth
+# make check  a quick look while working: lint, types of what changed, tests without JAX's compiler
 # make test   set up, lint, types, then the whole test suite and the notebooks
 # make test-extended   the long tests and notebooks that make test leaves out
 # make docs   the site in docs/_build/html: pages, notebooks and gallery as they run, reference
@@ -18,7 +19,7 @@ WORKERS ?= 2
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
-.PHONY: install test test-extended test-newest test-oldest lint pytest demo docs clean
+.PHONY: install check test test-extended test-newest test-oldest lint pytest demo docs clean
 .DELETE_ON_ERROR:
 
 install: $(CORE)
@@ -51,12 +52,32 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/deptry maloc models benchmarks simulations
 	$(BIN)/deptry tests notebooks docs --ignore DEP002,DEP004
+	$(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
+# Most of the suite's time is XLA's compiler's, so make test has it take the short way. As users
+# have it, it compiles in the processes that maloc starts itself (maloc/runs/threads.py), in
+# make test-extended, test-newest and test-oldest, and under a bare pytest.
+QUICK := --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 \
+  --xla_cpu_use_fusion_emitters=false
+
+pytest: export XLA_FLAGS := $(QUICK)
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not extended' --ignore tests/smoke \
 	  --nbmake --nbmake-timeout=300 tests $(filter-out $(LONG),$(NOTEBOOKS))
+
+# Of what differs from the commit BASE: a folder's types are checked together.
+BASE ?= HEAD
+CHANGED = $(shell git diff --name-only --diff-filter=d $(BASE) -- 'maloc/*.py' 'models/*.py' \
+  'tests/*.py'; git ls-files --others --exclude-standard -- 'maloc/*.py' 'models/*.py' 'tests/*.py')
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(if $(CHANGED),$(BIN)/pyright --pythonpath $(BIN)/python $(sort $(dir $(CHANGED))))
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not extended and not compiles' \
+	  --ignore tests/smoke tests
 
 test-extended: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) -m extended --ignore tests/smoke tests

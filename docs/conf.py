@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 from functools import partialmethod
@@ -117,8 +118,16 @@ def _skip(app, what, name, value, skip, options):
     return True if doc.startswith("Alias for field number") else None
 
 
+def _door(app, what, name, value, options, lines: list[str]) -> None:
+    """What a room's door says (`Comes in: ...`) is a list of fields."""
+    if what == "module":
+        said = re.compile(r"^(Comes in|Goes out|Start reading|The page): ")
+        lines[:] = [said.sub(r":\1: ", line) for line in lines]
+
+
 def setup(app) -> None:
-    """Connect the three functions above."""
+    """Connect the functions above."""
     app.connect("config-inited", _gather, priority=1)
     app.connect("source-read", _links)
     app.connect("autodoc-skip-member", _skip)
+    app.connect("autodoc-process-docstring", _door, priority=1)

@@ -26,7 +26,8 @@ interface of the README, the exports, ArviZ, SVI with k-hat, NUTS, many tags by 
 leans on an optional package. The newest leg takes no constraints, and a deprecation is an error in
 it; the oldest leg installs the lowest versions that `pyproject.toml` allows (uv's `lowest-direct`).
 
-maloc warns where JAX, NumPyro or ArviZ lie outside the range that was run (`maloc._version`).
+maloc warns where JAX, NumPyro or ArviZ lie outside the range that was run
+(`maloc._package.version`).
 A column is written by `docs/write_versions.py`, in the environment of a leg that has passed.
 """
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from maloc._version import __version__ as __version__
+from maloc._package.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from maloc import (
@@ -101,9 +101,9 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    from maloc import _moved
+    from maloc._package import moved
 
-    _moved.install()
+    moved.install()
     _SUBMODULES = frozenset(
         [
             "arrival",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from maloc._version import warn_outside
+from maloc._package.version import warn_outside
 
 warn_outside()  # before the imports that an unsupported version may fail in
 

@@ -1,4 +1,11 @@
-"""Plain NumPyro models, one a file; ``maloc.models.toa_track`` is the function itself."""
+"""Plain NumPyro models, one a file; ``maloc.models.toa_track`` is the function itself.
+
+Comes in: arrays of `maloc.model_data`.
+Goes out: sample statements, made of the parts in `maloc.movement`, `maloc.arrival`,
+    `maloc.schedule`, `maloc.detection` and `maloc.world`.
+Start reading: `toa_track.py`.
+The mathematics: docs/architecture.md.
+"""
 
 from __future__ import annotations
 

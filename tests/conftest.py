@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -34,6 +35,45 @@ settings.register_profile(
 settings.load_profile("maloc")
 
 SHARED = ROOT.parent / "shared"
+
+# What a module imports where its tests let XLA compile: all but a few, which say so themselves.
+COMPILING = re.compile(
+    r"maloc\._jax|numpyro|maloc\.(infer|points|models|evaluate|simulate|predict|schedule|detection|studies)\b"
+    r"|maloc import .*\b(infer|models|points|simulate|sync)\b"
+    r"|CliRunner|subprocess|simulations|benchmarks|fakes"
+)
+
+
+def _checking(config: pytest.Config) -> bool:
+    """Whether this is `make check`."""
+    return "not compiles" in config.option.markexpr
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Under `make check`, leave the modules out that have to do with JAX."""
+    if _checking(config) and collection_path.match("test_*.py"):
+        return bool(COMPILING.search(collection_path.read_text("utf-8"))) or None
+    return None
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_compiled_unsaid(request):
+    """Under `make check`, fail a test that lets XLA compile and has no marker that says so."""
+    if not _checking(request.config):
+        yield
+        return
+    import jax
+
+    compiled: list[str] = []
+
+    def heard(event, *_, **__):
+        if event.endswith("backend_compile_duration"):
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    yield
+    jax.monitoring.unregister_event_duration_listener(heard)
+    assert not compiled, f"XLA compiled {len(compiled)} programs: mark the test `compiles`"
 
 
 @pytest.fixture(scope="session")

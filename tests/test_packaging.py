@@ -61,7 +61,7 @@ def test_one_version(root_dir: Path):
 
     config = tomllib.loads((root_dir / "pyproject.toml").read_text())
     assert config["tool"]["setuptools"]["dynamic"]["version"] == {
-        "attr": "maloc._version.__version__"
+        "attr": "maloc._package.version.__version__"
     }
     citation = (root_dir / "CITATION.cff").read_text()
     assert f"version: {maloc.__version__}\n" in citation

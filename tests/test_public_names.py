@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from maloc._moved import MODULES, NAMES
+from maloc._package.moved import MODULES, NAMES
 
 LINES = (Path(__file__).parent / "public_names.txt").read_text().splitlines()
 BEFORE = {line.split(":")[0]: line.split()[1:] for line in LINES}

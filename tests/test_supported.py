@@ -13,7 +13,7 @@ import typer
 from packaging.specifiers import SpecifierSet
 from packaging.version import Version
 
-from maloc._version import SUPPORTED, outside, warn_outside
+from maloc._package.version import SUPPORTED, outside, warn_outside
 from maloc.cli.errors import explained
 from maloc.errors import MalocWarning
 

@@ -2,6 +2,11 @@
 
 Everything here takes `maloc.infer.TrackDraws`, is worked out draw by draw, and summarised last. A
 mean track is shorter, smoother and sharper than any track the animal may have taken.
+
+Comes in: `TrackDraws`.
+Goes out: estimates with their intervals.
+Start reading: `travel.py`, then `space.py` and `selection.py`.
+The page: docs/after.md.
 """
 
 from __future__ import annotations

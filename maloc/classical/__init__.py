@@ -4,6 +4,11 @@ What most studies do after positioning, on the same data types as everything els
 it can be compared honestly with the posterior of arrival times. `kalman` takes the positions of
 `maloc.points.locate`; `speed_filter` and its kin say which of them cannot be, `geometric_error` and
 its kin how far each is to be trusted.
+
+Comes in: `Points`, `ArrivalTimes`.
+Goes out: what was screened out, smoothed tracks, error measures.
+Start reading: `outliers.py`, `kalman.py`.
+The mathematics: docs/classical.md.
 """
 
 from __future__ import annotations

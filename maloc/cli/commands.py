@@ -42,7 +42,7 @@ def _root(
     version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
 ) -> None:
     if version:
-        from maloc._version import __version__
+        from maloc._package.version import __version__
 
         typer.echo(f"maloc {__version__}")
         raise typer.Exit()

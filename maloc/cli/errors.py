@@ -56,7 +56,7 @@ def explained(command: Callable) -> Callable:
         except typer.Exit:
             raise
         except Exception as problem:
-            from maloc._version import outside
+            from maloc._package.version import outside
 
             if not (line := outside()):
                 raise

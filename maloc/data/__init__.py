@@ -1,11 +1,17 @@
-"""Data at the edge: validated containers, readers, grouping into pings, and checks.
+"""Data: validated containers, and the grouping of detections into pings.
 
-Nothing here needs JAX; polars is imported only when a table is read or written.
+Nothing here needs JAX; polars is imported only when a table is made or read.
+
+Comes in: arrays.
+Goes out: containers that checked themselves once and never change, and one container made of
+    another: `preparation.py` and `grouping.py` (detections to pings), `encounter_grouping.py`.
+Start reading: `detections.py`, `receivers.py`, `arrivals.py`. Knows no file format and no model.
+The page: docs/architecture.md, "Data to arrival times".
 """
 
 from typing import TYPE_CHECKING, Any
 
-from maloc import _moved
+from maloc._package import moved
 
 __all__ = [
     "ArrivalHistory",
@@ -79,7 +85,7 @@ else:
     def __getattr__(name: str) -> Any:
         """Import a public name when it is first asked for (PEP 562)."""
         if name not in _HOME:
-            return _moved.name_of(__name__, name)
+            return moved.name_of(__name__, name)
         from importlib import import_module
 
         value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

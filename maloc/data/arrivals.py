@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc import _moved
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._time import duration, iso
 from maloc.data.receivers import Receivers
@@ -270,7 +270,7 @@ class ArrivalTimes:
     def to_model_data(self, pad: bool = True) -> Any:
         """Go with the next release: `maloc.model_data.to_model_data` does this."""
         name = "ArrivalTimes.to_model_data"
-        return _moved.call(name, "maloc.model_data", "to_model_data", self, pad)
+        return moved.call(name, "maloc.model_data", "to_model_data", self, pad)
 
     @classmethod
     def from_frame(
@@ -284,7 +284,7 @@ class ArrivalTimes:
         schedule: Schedule | None = None,
     ) -> ArrivalTimes:
         """Go with the next release: `maloc.read_toa` takes a wide dataframe too."""
-        return _moved.call(
+        return moved.call(
             "ArrivalTimes.from_frame",
             "maloc.readers",
             "read_toa",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc import _moved
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._tags import match_tag
 from maloc.data._time import NS, duration, iso
@@ -139,7 +139,7 @@ class Detections:
         whole = {"time", "receiver", "tag"} <= set(df.columns)
         if not whole or df["time"].dtype == pl.String:
             name = "Detections.from_frame of another layout"
-            return _moved.call(name, "maloc.readers", "read_detections", df)
+            return moved.call(name, "maloc.readers", "read_detections", df)
         for name in ("time", "receiver", "tag"):
             if df[name].null_count():
                 raise InputError(f"{df[name].null_count()} missing values", column=name)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc import _moved
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._encounter_arrivals import history_of
 from maloc.data._time import OPEN_END, OPEN_START, duration, iso
@@ -333,12 +333,12 @@ class EncounterHistory:
     def prune_bound(self, *args: Any, **options: Any) -> float:
         """Go with the next release: `maloc.model_data.prune_bound` does this."""
         name = "EncounterHistory.prune_bound"
-        return _moved.call(name, "maloc.model_data", "prune_bound", self, *args, **options)
+        return moved.call(name, "maloc.model_data", "prune_bound", self, *args, **options)
 
     def to_model_data(self, pad: bool = True) -> Any:
         """Go with the next release: `maloc.model_data.to_model_data` does this."""
         name = "EncounterHistory.to_model_data"
-        return _moved.call(name, "maloc.model_data", "to_model_data", self, pad)
+        return moved.call(name, "maloc.model_data", "to_model_data", self, pad)
 
     def __repr__(self) -> str:
         n = len(self.tags)

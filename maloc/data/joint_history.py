@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from maloc import _moved
+from maloc._package import moved
 from maloc.data import _links
 from maloc.data._encounter_pings import travel_slack
 from maloc.data._links import Links
@@ -77,7 +77,7 @@ class ArrivalHistory:
     def to_model_data(self, pad: bool = True) -> Any:
         """Go with the next release: `maloc.model_data.to_model_data` does this."""
         name = "ArrivalHistory.to_model_data"
-        return _moved.call(name, "maloc.model_data", "to_model_data", self, pad)
+        return moved.call(name, "maloc.model_data", "to_model_data", self, pad)
 
     def __repr__(self) -> str:
         return f"{self.encounters!r} with arrival times, silence {self.silence}".replace(

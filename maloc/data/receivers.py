@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc import _moved
+from maloc._package import moved
 from maloc.data import _arrays
 from maloc.data._time import OPEN_END, OPEN_START, iso
 from maloc.data.report import ReadReport
@@ -186,7 +186,7 @@ class Receivers:
     def from_frame(cls, data: Any, crs: str | None = None) -> Receivers:
         """Go with the next release: `maloc.read_receivers` takes a dataframe too."""
         name = "Receivers.from_frame"
-        return _moved.call(name, "maloc.readers", "read_receivers", data, crs=crs)
+        return moved.call(name, "maloc.readers", "read_receivers", data, crs=crs)
 
     def to_frame(self) -> pl.DataFrame:
         """Return a polars DataFrame: receiver, x, y, depth, sync_tag, start, end (null = open)."""

@@ -3,6 +3,11 @@
 `associate` finds which arrivals across receivers are one emission, `Tracker` follows the positions
 found (Stone Soup, ``pip install "maloc[tracking]"``), `gospa` scores them. `split_same_code` tells
 two transmitters with one code apart.
+
+Comes in: arrivals without a name, or detections of a shared code.
+Goes out: who sent what, tracks.
+Start reading: `association.py`, `same_code.py`.
+The mathematics: docs/emitters.md.
 """
 
 from __future__ import annotations

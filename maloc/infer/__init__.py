@@ -1,4 +1,11 @@
-"""Inference: Laplace, NUTS/HMC and SVI on any chain-structured NumPyro model."""
+"""Inference: Laplace, NUTS/HMC and SVI on any chain-structured NumPyro model.
+
+Comes in: a NumPyro function whose path sites are ordered in time, and its data.
+Goes out: a `Fit`.
+Start reading: `laplace.py`, then `_model.py` (the chain), `mode.py`, `marginal.py`, `nuts.py`;
+    `_fit.py` is what a fit holds, `result.py` what can be asked of it. Knows no fish.
+The mathematics: docs/architecture.md, "Inference" and "Bridges".
+"""
 
 from __future__ import annotations
 

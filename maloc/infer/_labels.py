@@ -78,7 +78,7 @@ class Names:
 
 def names_of(fit: Fitted) -> Names:
     """Names and coordinates of a fit's dimensions."""
-    from maloc._version import __version__
+    from maloc._package.version import __version__
 
     data, n = fit.args[0] if fit.args else None, fit.n_states
     attrs = {"inference_library": "maloc", "inference_library_version": __version__}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpyro.distributions as dist
@@ -20,42 +20,21 @@ from numpyro.distributions.transforms import biject_to
 
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
+from maloc.infer._sites import (
+    LEAST,
+    ChainSite,
+    GlobalSite,
+    Structure,
+    _clipped,
+    _is_chain,
+    _is_identity,
+    _is_own,
+    _median,
+    _unwrap,
+    signature,
+)
 
 __all__ = ["ChainModel", "chain_model"]
-
-_LEAST = 0.2
-
-
-class ChainSite(NamedTuple):
-    """A path site: name, class of its law, shape behind time, columns it takes in the flat path."""
-
-    name: str
-    law: type
-    tail: tuple[int, ...]
-    columns: slice
-
-
-class GlobalSite(NamedTuple):
-    """A parameter site: name, unconstrained shape, transform, place in the flat vector."""
-
-    name: str
-    shape: tuple[int, ...]
-    transform: Any
-    place: slice
-
-
-def _unwrap(fn):
-    """Innermost distribution of a masked one, and its mask."""
-    if isinstance(fn, dist.MaskedDistribution):
-        inner, mask = _unwrap(fn.base_dist)
-        return inner, fn._mask if mask is None else mask & fn._mask
-    return fn, None
-
-
-def _is_chain(site, path) -> bool:
-    if path is not None:
-        return site["name"] in path
-    return bool(getattr(site["fn"], "is_chain", False) or site["infer"].get("is_chain"))
 
 
 class ChainModel:
@@ -298,7 +277,7 @@ class ChainModel:
             tied = any(getattr(s.law, "is_chain", False) for s in self.chain)
             slope = jax.grad(self._local)
             blocks = self._blocks(lambda m: slope(m, x, u, args), x)
-            band = self._with_blocks(band, _clipped(blocks, 0.0 if tied else _LEAST))
+            band = self._with_blocks(band, _clipped(blocks, 0.0 if tied else LEAST))
         return value, gradient, band
 
     def _hessian(self, slope, x):
@@ -396,65 +375,18 @@ class ChainModel:
         return density, jax.tree.map(lambda v: v / x.shape[0], total)
 
 
-def _is_own(site) -> bool:
-    """Whether a site's rows depend on one state of the path each: ``infer={"per_state": True}``."""
-    return bool(site["type"] == "sample" and site["is_observed"] and site["infer"].get("per_state"))
-
-
-def _clipped(blocks, least: float):
-    """Symmetric blocks (T, d, d), eigenvalues raised to ``least`` times the largest in size."""
-    values, vectors = jnp.linalg.eigh(0.5 * (blocks + jnp.swapaxes(blocks, 1, 2)))
-    floor = least * jnp.max(jnp.abs(values), axis=1, keepdims=True)
-    return jnp.einsum("tik,tk,tjk->tij", vectors, jnp.maximum(values, floor), vectors)
-
-
-def _median(fn):
-    """Median of a distribution: by its quantile function, else of some draws."""
-    try:
-        return fn.icdf(jnp.full(fn.shape(), 0.5))
-    except (RuntimeError, ImportError, AttributeError, TypeError):
-        return jnp.median(fn.sample(jax.random.key(0), (101,)), axis=0)
-
-
-def _is_identity(transform) -> bool:
-    from numpyro.distributions.transforms import IdentityTransform, IndependentTransform
-
-    while isinstance(transform, IndependentTransform):
-        transform = transform.base_transform
-    return isinstance(transform, IdentityTransform)
-
-
-def _signature(args: tuple):
-    """What the structure of a model may depend on: treedef and numbers of dimensions."""
-    leaves, tree = jax.tree_util.tree_flatten(args)
-    return tree, tuple(np.ndim(leaf) for leaf in leaves)
-
-
 def chain_model(model: Callable, options: dict, args: tuple, path: tuple | None = None):
     """The `ChainModel` of a model, made once per model, options and structure of arguments.
 
     Its jitted functions take the data as arguments, so every data set of one shape shares one
     compilation.
     """
-    key = (model, tuple(sorted(options.items())), path, _signature(args))
-    return _cached(_Key(key, args))
-
-
-class _Key:
-    """Hashable by the structure only; carries the arguments for the first call."""
-
-    def __init__(self, key, args) -> None:
-        self.key, self.args = key, args
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other) -> bool:
-        return self.key == other.key
+    key = (model, tuple(sorted(options.items())), path, signature(args))
+    return _cached(Structure(key, args))
 
 
 @functools.lru_cache(maxsize=32)
-def _cached(key: _Key) -> ChainModel:
+def _cached(key: Structure) -> ChainModel:
     model, options, path, _ = key.key
     made = ChainModel(model, dict(options), key.args, path)
     key.args = ()

@@ -9,17 +9,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 
 from maloc._jax import jax
 from maloc.data.joint_history import ArrivalHistory, as_history
+from maloc.model_data.arrivals import ArrivalData, Numbers
 from maloc.model_data.encounters import EncounterData
 from maloc.model_data.encounters import to_model_data as who_heard
 from maloc.model_data.states import chain
 from maloc.model_data.toa import MIN_LATENESS, SPEED_SD
 from maloc.world.depth_data import DepthData, depth_data
-
-Numbers = Array | np.ndarray
 
 __all__ = ["JointData", "as_joint_data", "to_model_data"]
 
@@ -27,37 +26,19 @@ _STATIC = ["schedule", "silence", "speed_known"]
 
 
 @dataclasses.dataclass(frozen=True)
-class JointData:
+class JointData(ArrivalData):
     """S states of all tags, R receivers: a pytree, the last three fields static.
 
     Attributes
     ----------
+    range, heard, speed, ... :
+        See `ArrivalData`.
     encounters : EncounterData
         The same states, who listened and who heard; `time`, `dt`, `tag`, `valid` are read there.
-    range : (S, R) m
-        Reference sound speed x (arrival - first arrival of the ping); 0 where not heard.
-    heard : (S, R) bool
-        Which receivers' arrival times count.
     clock_sd : (S, R) m
         Sound speed x the sd of the receiver's clock then.
-    speed : (S,) m/s
-        Reference sound speed.
-    speed_sd : ()
-        Relative standard deviation of the sound speed, for models that estimate it.
-    receiver_xy : (R, 2) m
-        Receiver positions.
-    centre : (2,) m
-        Middle of the receivers that heard something.
-    spread : () m
-        Standard deviation of the first position around it, and of a ping's range.
-    phi : () m
-        Largest lateness of a reflected arrival.
-    n_intervals : (S - 1,)
-        Burst intervals from one state to the next; 0 where not known.
     nominal : (S - 1,) s
         Their length by a stable or a known sequence of intervals.
-    interval : (2,) s
-        MIN, MAX (random schedule); MEAN, SD (stable, sequence).
     depth : DepthData or None
         Depths of the tags, the receivers and the bottom; None: tracks are flat.
     schedule : str
@@ -70,18 +51,8 @@ class JointData:
     """
 
     encounters: EncounterData
-    range: Float[Numbers, "state receiver"]
-    heard: Bool[Numbers, "state receiver"]
     clock_sd: Float[Numbers, "state receiver"]
-    speed: Float[Numbers, " state"]
-    speed_sd: Float[Numbers, ""]
-    receiver_xy: Float[Numbers, "receiver 2"]
-    centre: Float[Numbers, 2]
-    spread: Float[Numbers, ""]
-    phi: Float[Numbers, ""]
-    n_intervals: Float[Numbers, " step"]
     nominal: Float[Numbers, " step"]
-    interval: Float[Numbers, 2]
     depth: DepthData | None = None
     schedule: str = "unknown"
     silence: str = "unknown"
@@ -121,11 +92,6 @@ class JointData:
     def gaps(self):
         """Gaps in which missed pings are summed out, or None."""
         return self.encounters.gaps
-
-    @property
-    def interval_known(self):
-        """Where the number of burst intervals to the next state is known, (S - 1,) bool."""
-        return self.n_intervals > 0
 
 
 jax.tree_util.register_dataclass(

@@ -25,7 +25,7 @@ def prune_bound(
 
     A receiver left out at distance d >= reach and not heard adds log(1 - p(d)) to a ping's log
     likelihood; with whole-ping loss, log(pi + (1 - pi) prod (1 - p)) changes by no more. If
-    the path stays within `margin` of the positions pruned by and p falls with distance, then
+    the path stays within `margin` of the positions pruned by and p falls with distance, then::
 
         |error| <= sum over pings of e + sum over gaps of n max e,
         e(state) = sum over receivers left out of -log(1 - p(d - margin)),

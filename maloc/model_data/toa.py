@@ -10,15 +10,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from maloc._jax import jax
 from maloc.data._links import count_intervals
 from maloc.data._padding import bucket
 from maloc.data.arrivals import ArrivalTimes
+from maloc.model_data.arrivals import ArrivalData, Numbers
 from maloc.world.depth_data import DepthData, depth_data
-
-Numbers = Array | np.ndarray
 
 __all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
 
@@ -29,37 +28,19 @@ _MIN_STEP = 1e-3  # s; two pings at one instant still need a step
 
 
 @dataclasses.dataclass(frozen=True)
-class ToaData:
+class ToaData(ArrivalData):
     """One tag's heard pings, ready for a model: a pytree, the last two fields static.
 
     Attributes
     ----------
-    range : (T, R) m
-        Reference sound speed x (arrival - first arrival of the ping); 0 where not heard.
-    heard : (T, R) bool
-        Which receivers heard the ping.
+    range, heard, speed, ... :
+        See `ArrivalData`.
     clock_sd : (T, R) m or None
         Sound speed x the standard error of the receiver's clock; None: clocks are exact.
     time : (T,) s
         First arrival of each ping, from the data set's origin.
     dt : (T - 1,) s
         Element t: from ping t to ping t + 1.
-    speed : (T,) m/s
-        Reference sound speed.
-    speed_sd : ()
-        Relative standard deviation of the sound speed, for models that estimate it.
-    receiver_xy : (R, 2) m
-        Receiver positions.
-    centre : (2,) m
-        Middle of the receivers that heard something.
-    spread : () m
-        Standard deviation of the first position around it, and of a ping's range.
-    phi : () m
-        Largest lateness of a reflected arrival.
-    n_intervals : (T - 1,)
-        Burst intervals between consecutive heard pings; 0 where not known.
-    interval : (2,) s
-        MIN, MAX (random schedule) or MEAN, SD (stable).
     depth : DepthData or None
         Depths of the tag, the receivers and the bottom; None: the track is flat.
     valid : (T,) bool
@@ -72,29 +53,14 @@ class ToaData:
         False where the sound speed has an error that all pings share.
     """
 
-    range: Float[Numbers, "ping receiver"]
-    heard: Bool[Numbers, "ping receiver"]
     time: Float[Numbers, " ping"]
     dt: Float[Numbers, " step"]
-    speed: Float[Numbers, " ping"]
-    speed_sd: Float[Numbers, ""]
-    receiver_xy: Float[Numbers, "receiver 2"]
-    centre: Float[Numbers, 2]
-    spread: Float[Numbers, ""]
-    phi: Float[Numbers, ""]
-    n_intervals: Float[Numbers, " step"]
-    interval: Float[Numbers, 2]
     valid: Bool[Numbers, " ping"]
     present: Bool[Numbers, " receiver"]
     clock_sd: Float[Numbers, "ping receiver"] | None = None
     depth: DepthData | None = None
     schedule: str = "unknown"
     speed_known: bool = True
-
-    @property
-    def interval_known(self):
-        """Where the number of burst intervals between heard pings is known, (T - 1,) bool."""
-        return self.n_intervals > 0
 
 
 jax.tree_util.register_dataclass(

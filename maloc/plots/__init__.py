@@ -1,6 +1,10 @@
 """Figures: one function a figure, each takes optional axes and returns them.
 
 matplotlib is imported by the first figure that is drawn, not before.
+
+Comes in: results and tables.
+Goes out: Axes.
+Start reading: `_map.py`, `_diagnostics.py`. Results are imported here and never import a figure.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -2,6 +2,11 @@
 
 `locate` is the one entry; it needs no movement model and no neighbouring ping, and says of every
 ping where it was, how surely, which arrivals were used, and where a second place fits as well.
+
+Comes in: `ArrivalTimes`.
+Goes out: `Points`, a row a ping.
+Start reading: `locate.py`, then `_methods.py` and one method, `_robust.py` say.
+The mathematics: docs/points.md.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc.data._mirror import Line, mirror_line
 from maloc.runs.log import Log
-from maloc.runs.mirror import Line, mirror_line
 from maloc.runs.options import TrackOptions
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import numpy as np
 
 from maloc.data._time import NS
 from maloc.errors import InputError
+from maloc.export import output
 from maloc.export.folder import check_free, output_folder
-from maloc.runs import output
 from maloc.runs.load import Source, load
 from maloc.runs.log import Log
 from maloc.runs.options import TrackOptions

@@ -62,8 +62,8 @@ def run_predict(
         import polars as pl
         from tqdm import tqdm
 
+        from maloc.export import output
         from maloc.predict import prediction_table, read_tracks, regular_times
-        from maloc.runs import output
 
         with log.stage("read"):
             tracks = read_tracks(run)

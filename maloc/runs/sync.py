@@ -45,7 +45,7 @@ def run_sync(
     log = Log(quiet)
     speed = sound_speed if sound_speed in ("constant", "varying") else speed_of_water(sound_speed)
     with log.listening():
-        from maloc.runs import output
+        from maloc.export import output
         from maloc.sync import fit, read_anchors
 
         reading = reading or Reading()

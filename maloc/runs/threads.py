@@ -17,18 +17,22 @@ ONE_THREAD = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
     "JAX_PLATFORMS": "cpu",
 }
+# Dask's for its workers: memory is given back at once, and asked for again at twice the time
+_TRIM, _DASKS = "MALLOC_TRIM_THRESHOLD_", "65536"
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let processes that start meanwhile have one thread each."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    """Let processes that start meanwhile have one thread each, and keep their memory."""
+    before = {name: os.environ.get(name) for name in (*ONE_THREAD, _TRIM)}
+    if before[_TRIM] == _DASKS:  # left by a cluster that this process had before
+        del os.environ[_TRIM]
     os.environ.update(ONE_THREAD)
     try:
         yield
     finally:
         for name, value in before.items():
             if value is None:
-                del os.environ[name]
+                os.environ.pop(name, None)
             else:
                 os.environ[name] = value

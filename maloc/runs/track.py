@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc._version import __version__
+from maloc._package.version import __version__
 from maloc.errors import FitError, InputError
+from maloc.export import output
 from maloc.export.folder import check_free, output_folder
-from maloc.runs import output
 from maloc.runs.depth import with_depth
 from maloc.runs.encounters import run_encounters
 from maloc.runs.fit_tag import Fitted, fit_tag

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from maloc.runs import output
+from maloc.export import output
 from maloc.runs.fit_tag import Fitted
 from maloc.runs.load import Source
 from maloc.runs.log import Log

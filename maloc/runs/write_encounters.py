@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maloc.data._time import NS
-from maloc.runs import output
+from maloc.export import output
 from maloc.runs.fit_encounters import FittedTags
 from maloc.runs.load_encounters import Encounters
 from maloc.runs.log import Log
@@ -71,7 +71,7 @@ def encounters_table(
     Returns
     -------
     DataFrame
-        Columns `maloc.runs.output.ARRIVALS`; residual and p_direct, two (P, R) arrays, are empty
+        Columns `maloc.export.output.ARRIVALS`; residual and p_direct, two (P, R) arrays, are empty
         where times of arrival are not modelled. `ping` counts the rows of a tag's pings from 1.
     """
     import polars as pl

@@ -1,4 +1,11 @@
-"""When a tag speaks: laws of the burst interval, missed pings summed out."""
+"""When a tag speaks: laws of the burst interval, missed pings summed out.
+
+Comes in: a `Schedule`, gaps between heard pings, chances to be heard.
+Goes out: log likelihoods, counts and times of missed pings.
+Start reading: `intervals.py`, then `renewal/likelihood.py` (missed pings summed out with their
+    path) or `signal.py` (without it).
+The mathematics: docs/architecture.md, "Heard and not heard".
+"""
 
 from typing import TYPE_CHECKING, Any
 

@@ -99,7 +99,7 @@ class Simulation:
         """
         import polars as pl
 
-        from maloc._version import __version__
+        from maloc._package.version import __version__
         from maloc.export.folder import output_folder
 
         when = pl.Series("time", ORIGIN + np.round(self.truth.time * 1e9).astype(np.int64))

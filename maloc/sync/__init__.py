@@ -3,6 +3,12 @@
 `fit` makes a `ClockSync`; its ``apply`` puts detections on the common clock. `rough` does with the
 animals' own tags, to about a second. `connectivity`, `latency` and `find_sync_order` show how an
 array hangs together.
+
+Comes in: raw `Detections`, `Receivers` with sync tags.
+Goes out: a `ClockSync`.
+Start reading: `_fit.py`, then `_prepared.py` (coarse alignment), `_model.py` (the joint fit),
+    `_outcome.py` (what it says). Draws no figure and writes no folder.
+The mathematics: docs/sync.md.
 """
 
 from maloc.sync._anchor_file import Anchors, read_anchors

@@ -20,48 +20,7 @@ class Clocks:
     The offset of a receiver is what its clock shows minus the common time: a cubic Hermite curve
     between knots plus the jumps before. Beyond its own sync detections it goes on straight.
 
-    Parameters
-    ----------
-    receivers : Receivers
-        With the fitted places.
-    reference : str
-        Receiver whose clock is the common time (but for its jumps, and unless anchored).
-    origin : int
-        ns since 1970 of second 0 of the common time.
-    knots : array (K,)
-        Common time, s from `origin`, equally spaced.
-    values, slopes : array (R, K)
-        Offset without jumps (s) and its slope (s/s) at the knots, one row a receiver in the order
-        of `receivers.names`; NaN = not synchronised.
-    values_sd : array (R, K)
-        Standard error of `values`, s.
-    noise : array (R,)
-        Intensity of each clock's integrated random walk, s^2/s^3.
-    covariance : array (M, 4, 4)
-        Of offset and slope times spacing at both ends of each interval between knots, s^2, jumps
-        included: the K - 1 intervals of the first receiver, one with a jump once for each side of
-        it, then those of the next.
-    jumps : ClockJumps
-    speeds, speeds_sd : array (K,)
-        Sound speed at the knots, m/s; sd 0 = it was given.
-    span : array (R, 2)
-        First and last sync detection used of each receiver, common time, s; NaN as above.
-    sigma : float
-        Error sd of direct arrivals, s.
-    reflected : float
-        Share of sync arrivals that came late.
-    delay, delay_sd : array (D,)
-        How late each deployment hears its own sync tag, s; 0 = it never did.
-    position_sd : array (D, 2)
-        Standard error of the fitted x, y of each deployment, m; 0 = held.
-    shift : array (D, 2)
-        Fitted minus given x, y, m.
-    residuals : SyncResiduals
-    value_draws, slope_draws : array (S, R, K)
-        Posterior draws of `values` and `slopes`.
-    jump_draws : array (S, J)
-        Of the jumps' sizes, s.
-    notes : tuple of Note
+    Fields are those of `maloc.sync.ClockSync`, which says what each is.
     """
 
     receivers: Receivers

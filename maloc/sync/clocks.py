@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from maloc import _moved
+from maloc._package import moved
 from maloc.data import Detections
 from maloc.data._time import NS
 from maloc.sync import _files, _tables, _text
@@ -232,7 +232,7 @@ class ClockSync(Clocks):
     def write(self, folder: str | Path, detections: Detections | None = None) -> list[Path]:
         """Go with the next release: `maloc.runs.sync.write_sync` does this."""
         name = "ClockSync.write"
-        return _moved.call(name, "maloc.runs.sync", "write_sync", self, folder, detections)
+        return moved.call(name, "maloc.runs.sync", "write_sync", self, folder, detections)
 
     def __repr__(self) -> str:
         n, total = int(self.synced.sum()), len(self.synced)

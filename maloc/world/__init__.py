@@ -1,4 +1,11 @@
-"""What the animal swims in: sound speed, water, depth, drift, the state space."""
+"""What the animal swims in: sound speed, water, depth, drift, the state space.
+
+Comes in: coast lines, bathymetry, the water's state, positions.
+Goes out: densities, distances with gradients, speeds; `depth_data.py` is the depths of a data set
+    as models see them.
+Start reading: `habitat.py`, `depth.py`, `medium.py`. Knows no model.
+The mathematics: docs/architecture.md, "Water" and "Depth".
+"""
 
 from typing import TYPE_CHECKING, Any
 

@@ -366,6 +366,7 @@ def test_states_are_pings_and_the_nodes_of_the_gaps():
     assert np.asarray(d.gaps.valid).sum() == 4
 
 
+@pytest.mark.compiles
 def test_pruning_in_gaps_changes_their_likelihood_by_less_than_the_bound():
     rng = np.random.default_rng(14)
     heard = np.tile([True] * 4 + [False] * 2, (6, 1))

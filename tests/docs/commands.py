@@ -38,8 +38,11 @@ def _check(words: list[str]) -> None:
     if program == "maloc":
         parse(rest)
     elif program == "make":
-        targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), flags=re.M)
-        assert rest and set(rest) <= set(targets), f"make has no {rest}"
+        text = (ROOT / "Makefile").read_text()
+        targets = re.findall(r"^([\w-]+):", text, flags=re.M)
+        targets += [f"{name}=" for name in re.findall(r"^(\w+) \?=", text, flags=re.M)]
+        asked = {re.sub(r"=.*", "=", word) for word in rest}
+        assert rest and asked <= set(targets), f"make has no {sorted(asked - set(targets))}"
     elif program == "pip":
         extras(" ".join(rest))
     elif words[:2] in (["python", "-m"], [".venv/bin/python", "-m"]):

@@ -28,7 +28,7 @@ def study() -> tuple[Any, Any, np.ndarray]:
     )
     array = found.receivers.to_frame().with_columns(pl.col("receiver").replace_strict(serial))
     truth = np.column_stack([found.truth.x, found.truth.y])
-    return maloc.Detections.from_frame(heard), maloc.Receivers.from_frame(array), truth
+    return maloc.Detections.from_frame(heard), maloc.read_receivers(array), truth
 
 
 @cache
@@ -144,7 +144,7 @@ def _depth(folder: Path) -> dict[str, Any]:
     )
     deep = [5.0, 35.0] * 6
     array = receivers.to_frame().with_columns(depth=pl.Series(deep))
-    array = maloc.Receivers.from_frame(array)
+    array = maloc.read_receivers(array)
     tag = pl.col("tag").replace("A69-1602-7", "pike")
     return {
         "detections": clocks().apply(maloc.Detections.from_frame(heard.with_columns(tag))),

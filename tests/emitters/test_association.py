@@ -12,6 +12,8 @@ from maloc.emitters.tracking import Tracks
 from maloc.errors import InputError
 from tests.oracles import best_packing, emission_log_ratio
 
+pytestmark = pytest.mark.compiles
+
 SQUARE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
 
 

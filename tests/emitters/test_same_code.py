@@ -42,6 +42,7 @@ def two():
     return scene, toa, split_same_code(toa)
 
 
+@pytest.mark.compiles
 def test_two_are_split_as_they_were(two):
     scene, toa, split = two
     truth = sender(scene, toa)

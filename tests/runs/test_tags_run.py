@@ -54,7 +54,7 @@ def test_kill_9_and_go_on(tmp_path):
     code = f"""
         import sys, time
         from pathlib import Path
-        sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(Path(__file__).parents[2])!r}]
+        sys.path[:0] = {[str(p) for p in Path(__file__).parents[:3]]!r}
         from test_tags_run import Job, key_of, run_each, square
         def slow(log, n):
             time.sleep(0.2)
@@ -152,3 +152,19 @@ def test_workers_go_with_tags_that_are_fitted_one_by_one(tmp_path, engine, comma
     more = ["--model", "joint", "--workers", 2, "--interval", 20, 40]
     result = run(*command, *more)
     assert result.exit_code == 2 and "leave --workers out" in result.stderr
+
+
+def test_workers_keep_their_memory_after_a_cluster_of_somebody_elses(monkeypatch):
+    """What Dask leaves in a process that had a cluster before is not handed on; a user's own is."""
+    from maloc.runs.threads import one_thread
+
+    name = "MALLOC_TRIM_THRESHOLD_"
+    for value, inside in (("65536", None), ("1000000", "1000000")):
+        monkeypatch.setenv(name, value)
+        with one_thread():
+            assert os.environ.get(name) == inside
+        assert os.environ[name] == value
+    monkeypatch.delenv(name)
+    with one_thread():
+        assert name not in os.environ
+    assert name not in os.environ

@@ -12,10 +12,10 @@ import pytest
 from fakes import FakeFit, fake_of, fake_table
 
 from maloc.data import ArrivalTimes, Receivers, SetAside
+from maloc.data._mirror import mirror_line, reflect
 from maloc.errors import InputError
+from maloc.export import output
 from maloc.export.folder import output_folder
-from maloc.runs import output
-from maloc.runs.mirror import mirror_line, reflect
 
 ORIGIN = 1_600_000_000_000_000_000
 

@@ -57,19 +57,19 @@ def name_of(package: str, name: str) -> Any:
     home = NAMES.get(f"{package}.{name}")
     if home is None:
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
-    _warn(f"{package}.{name}", f"{home}.{name}")
+    _warn(f"{package}.{name}", f"{home}.{name}", 4)
     return getattr(import_module(home), name)
 
 
 def call(old: str, home: str, name: str, *args: Any, **options: Any) -> Any:
     """Call what a method does now, for a method that goes with the next release."""
-    _warn(old, f"{home}.{name}")
+    _warn(old, f"{home}.{name}", 4)
     return getattr(import_module(home), name)(*args, **options)
 
 
-def _warn(old: str, new: str) -> None:
+def _warn(old: str, new: str, level: int) -> None:
     text = f"{old} is {new} now; the old name goes with the next release"
-    warnings.warn(text, DeprecationWarning, stacklevel=3)
+    warnings.warn(text, DeprecationWarning, stacklevel=level)
 
 
 class _Finder:
@@ -87,7 +87,7 @@ class _Finder:
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         assert spec.origin is not None
-        _warn(spec.name, spec.origin)
+        _warn(spec.name, spec.origin, 3)
         module = import_module(spec.origin)
         spec.loader_state = module.__spec__
         return module

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maloc.data._mirror import Line, reflect
 from maloc.data._time import NS
-from maloc.runs.mirror import Line, reflect
 
 if TYPE_CHECKING:
     import polars as pl
