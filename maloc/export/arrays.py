@@ -59,5 +59,5 @@ def zarr(run: Finished, path: Path) -> None:
     try:
         import zarr  # noqa: F401
     except ImportError as problem:
-        raise needs("this export", "Zarr", "geo", problem, file=path) from None
+        raise needs("export to zarr", "Zarr", "geo", problem) from None
     _dataset(run).to_zarr(path, mode="w", consolidated=False)

@@ -85,7 +85,7 @@ def geoparquet(run: Finished, path: Path) -> None:
         import pandas as pd
         import pyarrow  # noqa: F401
     except ImportError as problem:
-        raise needs("this export", "GeoPandas and PyArrow", "geo", problem, file=path) from None
+        raise needs("export to geoparquet", "GeoPandas and PyArrow", "geo", problem) from None
 
     table = typed(run.table)
     columns = {c: table[c].to_numpy() for c in table.columns if c != "time"}
