@@ -37,13 +37,13 @@ $(BIN)/python:
 	echo "setting up $(VENV) with $$($$python --version)"; \
 	"$$python" -m venv $(VENV)
 
-# Each stamp is younger than both files exactly when what they ask for is installed: what users
+# Each stamp is younger than these files exactly when what they ask for is installed: what users
 # need, and with it what the tests need.
-$(CORE): pyproject.toml constraints.txt | $(BIN)/python
+$(CORE): pyproject.toml constraints.txt maloc/_package/version.py | $(BIN)/python
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt -e .
 	@touch $(CORE)
 
-$(STAMP): pyproject.toml constraints.txt | $(BIN)/python
+$(STAMP): pyproject.toml constraints.txt maloc/_package/version.py | $(BIN)/python
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
 	@touch $(CORE) $(STAMP)
 
