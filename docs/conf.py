@@ -121,7 +121,7 @@ def _skip(app, what, name, value, skip, options):
 def _door(app, what, name, value, options, lines: list[str]) -> None:
     """What a room's door says (`Comes in: ...`) is a list of fields."""
     if what == "module":
-        said = re.compile(r"^(Comes in|Goes out|Start reading|The page|The mathematics): ")
+        said = re.compile(r"^(Comes in|Goes out|Start reading|The pages?|The mathematics): ")
         lines[:] = [said.sub(r":\1: ", line) for line in lines]
 
 
