@@ -16,21 +16,17 @@ from typing import Any
 import numpy as np
 import numpyro.distributions as dist
 from numpyro import handlers
-from numpyro.distributions.transforms import biject_to
 
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
 from maloc.infer._sites import (
     LEAST,
-    ChainSite,
-    GlobalSite,
     Structure,
     _clipped,
-    _is_chain,
-    _is_identity,
     _is_own,
     _median,
     _unwrap,
+    laid_out,
     signature,
 )
 
@@ -60,40 +56,17 @@ class ChainModel:
     def __init__(self, model: Callable, options: dict, args: tuple, path: tuple | None) -> None:
         self.model, self.options = model, options
         self._lengths: dict[tuple, int] = {}
-        trace = self._abstract(args)
-        self.chain: list[ChainSite] = []
-        self.globals: list[GlobalSite] = []
-        start = place = 0
-        lengths = set()
-        for name, site in trace.items():
-            if site["type"] != "sample" or site["is_observed"]:
-                continue
-            shape = jnp.shape(site["value"])
-            if _is_chain(site, path):
-                width = int(np.prod(shape[1:]))
-                lengths.add(shape[0])
-                transform = biject_to(site["fn"].support)
-                if not _is_identity(transform):
-                    raise FitError(f"path site '{name}' must be unbounded (real support)")
-                columns = slice(start, start + width)
-                law = type(_unwrap(site["fn"])[0])
-                self.chain.append(ChainSite(name, law, shape[1:], columns))
-                start += width
-            else:
-                transform = biject_to(site["fn"].support)
-                flat = transform.inverse_shape(shape)
-                size = int(np.prod(flat))
-                self.globals.append(GlobalSite(name, flat, transform, slice(place, place + size)))
-                place += size
-        shapes = tuple(np.shape(leaf) for leaf in jax.tree_util.tree_leaves(args))
-        self._lengths[shapes] = max(lengths, default=0)
-        if len(lengths) != 1:
+        trace = abstract(model, options, args)
+        layout = laid_out(trace, path)
+        self.chain, self.globals = list(layout.chain), list(layout.globals)
+        if len(layout.lengths) != 1:
             raise FitError(
                 "the model has no path site (mark it with infer={'is_chain': True} or path=)"
-                if not lengths
-                else f"path sites differ in length: {sorted(lengths)}"
+                if not layout.lengths
+                else f"path sites differ in length: {sorted(layout.lengths)}"
             )
-        self.d, self.k = start, place
+        self.d = sum(int(np.prod(s.tail)) for s in self.chain)
+        self.k = sum(int(np.prod(s.shape)) for s in self.globals)
         observed = [_unwrap(s["fn"])[0] for s in trace.values() if s["type"] == "sample"]
         self.has_local = any(getattr(fn, "local", False) for fn in observed)
         self.has_stand_in = any(hasattr(fn, "local_log_prob") for fn in observed)
@@ -115,15 +88,7 @@ class ChainModel:
         return handlers.trace(model).get_trace(*args, **self.options)
 
     def _abstract(self, args: tuple) -> dict:
-        """The model's trace with shapes in place of numbers: nothing is computed or compiled."""
-        seen = {}
-
-        def look(args):
-            seen.update(self._trace({}, args))
-            return 0
-
-        jax.eval_shape(look, args)
-        return seen
+        return abstract(self.model, self.options, args)
 
     def length(self, args: tuple) -> int:
         """Number of states T for these arguments."""
@@ -375,19 +340,39 @@ class ChainModel:
         return density, jax.tree.map(lambda v: v / x.shape[0], total)
 
 
+def abstract(model: Callable, options: dict, args: tuple) -> dict:
+    """The model's trace with shapes in place of numbers: nothing is computed or compiled."""
+    seen = {}
+
+    def look(args):
+        seen.update(handlers.trace(handlers.seed(model, rng_seed=0)).get_trace(*args, **options))
+        return 0
+
+    jax.eval_shape(look, args)
+    return seen
+
+
 def chain_model(model: Callable, options: dict, args: tuple, path: tuple | None = None):
-    """The `ChainModel` of a model, made once per model, options and structure of arguments.
+    """The `ChainModel` of a model, made once per model, options and layout of its latent sites.
 
     Its jitted functions take the data as arguments, so every data set of one shape shares one
     compilation.
     """
-    key = (model, tuple(sorted(options.items())), path, signature(args))
-    return _cached(Structure(key, args))
+    given = (model, tuple(sorted(options.items())), path)
+    tree, shapes = signature(args)
+    layout = _layout(Structure((*given, tree, shapes), args))
+    return _cached(Structure((*given, tree, tuple(map(len, shapes)), layout), args))
+
+
+@functools.lru_cache(maxsize=1024)
+def _layout(key: Structure) -> tuple:
+    model, options, path, *_ = key.key
+    args, key.args = key.args, ()
+    return laid_out(abstract(model, dict(options), args), path).key
 
 
 @functools.lru_cache(maxsize=32)
 def _cached(key: Structure) -> ChainModel:
-    model, options, path, _ = key.key
-    made = ChainModel(model, dict(options), key.args, path)
-    key.args = ()
-    return made
+    model, options, path, *_ = key.key
+    args, key.args = key.args, ()
+    return ChainModel(model, dict(options), args, path)

@@ -6,10 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpyro.distributions as dist
+from numpyro.distributions.transforms import biject_to
 
 from maloc._jax import jax, jnp
+from maloc.errors import FitError
 
-__all__ = ["LEAST", "ChainSite", "GlobalSite", "Structure", "signature"]
+__all__ = ["LEAST", "ChainSite", "GlobalSite", "Layout", "Structure", "laid_out", "signature"]
 
 LEAST = 0.2
 
@@ -30,6 +32,52 @@ class GlobalSite(NamedTuple):
     shape: tuple[int, ...]
     transform: Any
     place: slice
+
+
+class Layout(NamedTuple):
+    """Latent sites of a model for arguments of given shapes; ``lengths`` of its path sites."""
+
+    chain: tuple[ChainSite, ...]
+    globals: tuple[GlobalSite, ...]
+    lengths: frozenset[int]
+
+    @property
+    def key(self) -> tuple:
+        """What two data sets must share to share a `ChainModel`: every shape but the length."""
+        path = tuple((s.name, s.law, s.tail) for s in self.chain)
+        return path, tuple((s.name, s.shape) for s in self.globals)
+
+
+def laid_out(trace: dict, path: tuple | None) -> Layout:
+    """Layout of the latent sites of a trace.
+
+    Raises
+    ------
+    FitError
+        If a path site has bounds.
+    """
+    chain: list[ChainSite] = []
+    parameters: list[GlobalSite] = []
+    start = place = 0
+    lengths = set()
+    for name, site in trace.items():
+        if site["type"] != "sample" or site["is_observed"]:
+            continue
+        shape = jnp.shape(site["value"])
+        transform = biject_to(site["fn"].support)
+        if _is_chain(site, path):
+            if not _is_identity(transform):
+                raise FitError(f"path site '{name}' must be unbounded (real support)")
+            lengths.add(shape[0])
+            columns = slice(start, start + int(np.prod(shape[1:])))
+            chain.append(ChainSite(name, type(_unwrap(site["fn"])[0]), shape[1:], columns))
+            start = columns.stop
+        else:
+            flat = transform.inverse_shape(shape)
+            columns = slice(place, place + int(np.prod(flat)))
+            parameters.append(GlobalSite(name, flat, transform, columns))
+            place = columns.stop
+    return Layout(tuple(chain), tuple(parameters), frozenset(lengths))
 
 
 def _unwrap(fn):
@@ -75,13 +123,13 @@ def _is_identity(transform) -> bool:
 
 
 def signature(args: tuple):
-    """What the structure of a model may depend on: treedef and numbers of dimensions."""
+    """What the layout of a model may depend on: treedef and shapes."""
     leaves, tree = jax.tree_util.tree_flatten(args)
-    return tree, tuple(np.ndim(leaf) for leaf in leaves)
+    return tree, tuple(np.shape(leaf) for leaf in leaves)
 
 
 class Structure:
-    """Hashable by the structure only; carries the arguments for the first call."""
+    """Hashable by its key only; carries the arguments for the first call."""
 
     def __init__(self, key, args) -> None:
         self.key, self.args = key, args

@@ -12,6 +12,7 @@ import maloc.infer
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
 from maloc.infer._model import chain_model
+from maloc.infer.mode import find_mode
 from maloc.model_data import to_model_data
 from maloc.models import toa_track
 from tests.infer import cases
@@ -222,3 +223,30 @@ def test_a_second_data_set_of_one_shape_compiles_nothing():
     assert second.cm is first.cm
     maloc.infer.laplace(own, *cases.fixes_data(1, length=15))
     assert COMPILED  # another shape
+
+
+def test_arrays_of_other_sizes_in_one_process_have_their_own_sites():
+    """Parameters by receiver, a path as wide as there are animals: the shapes are the data's."""
+
+    def model(seen, heard):
+        level = numpyro.sample("level", dist.Normal(0, 1).expand([heard.shape[1]]).to_event(1))
+        first = numpyro.sample(
+            "path",
+            dist.Normal(0, 1).expand(seen.shape).to_event(1),
+            infer={"is_chain": True},
+        )
+        numpyro.sample("seen", dist.Normal(first, 1), obs=seen)
+        numpyro.sample("heard", dist.Normal(level[None], 1), obs=heard)
+
+    rng = np.random.default_rng(2)
+    for receivers, animals in ((3, 1), (4, 1), (4, 2), (3, 1)):
+        args = (rng.normal(size=(6, animals)), rng.normal(size=(5, receivers)))
+        cm = chain_model(model, {}, args)
+        assert (cm.k, cm.d) == (receivers, animals)
+        level = args[1].sum(0) / 6
+        mode = find_mode(cm, args, np.zeros((6, animals)), level)
+        np.testing.assert_allclose(mode.x, args[0] / 2, atol=1e-9)
+        fit = maloc.infer.laplace(model, *args, draws=400)
+        drawn = fit.draws()["level"]
+        assert drawn.shape == (1, 400, receivers)
+        np.testing.assert_allclose(drawn.mean((0, 1)), level, atol=5 / np.sqrt(6 * 400))
