@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from maloc.cli.errors import BAD_INPUT, OneLineGroup, explained, fail
+from maloc.cli.halves import halves
 from maloc.cli.options import (
     Clock,
     Crs,
@@ -167,6 +168,7 @@ def sync(
 
 app.command()(track)
 app.command()(points)
+app.command()(halves)
 
 
 @app.command()

@@ -15,6 +15,7 @@ __all__ = [
     "diagnostics",
     "draw_map",
     "gdop",
+    "halves",
     "heard",
     "intervals",
     "localizations",
@@ -37,6 +38,7 @@ _HOME = {
     "diagnostics": "_diagnostics",
     "draw_map": "_map",
     "gdop": "_gdop",
+    "halves": "_halves",
     "heard": "_diagnostics",
     "intervals": "_diagnostics",
     "localizations": "_localizations",
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
         trace,
     )
     from maloc.plots._gdop import gdop
+    from maloc.plots._halves import halves
     from maloc.plots._localizations import audibility, localizations
     from maloc.plots._map import draw_map
     from maloc.plots._points import points
