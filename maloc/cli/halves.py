@@ -31,9 +31,11 @@ def track_options(given: dict[str, Any]) -> TrackOptions:
     given = dict(given)
     reading = Reading(*(given.pop(name) for name in READING))
     listed = tuple(c.strip() for c in given.pop("ignore_columns").split(",") if c.strip())
-    fields = {FIELDS.get(k, k): tuple(v) if isinstance(v, list) else v for k, v in given.items()}
-    several = {k: fields[k] or () for k in ("detections", "tags")}
-    return TrackOptions(**(fields | several), ignore_columns=listed, reading=reading)
+    fields: dict[str, Any] = {
+        FIELDS.get(k, k): tuple(v) if isinstance(v, list) else v for k, v in given.items()
+    }
+    fields |= {k: fields[k] or () for k in ("detections", "tags")}
+    return TrackOptions(**fields, ignore_columns=listed, reading=reading)
 
 
 def _with_tracks(command: Callable) -> Callable:

@@ -147,7 +147,7 @@ def halves(
     both = (n_a >= least) & (n_b >= least)
     track_a, track_b = (a[both], sd_a[both]), (b[both], sd_b[both])
     rows, scores = compare_halves(toa.ping[both], track_a, track_b, (n_a[both], n_b[both]))
-    names = [toa.receivers.subset(c).names for c in (first, ~first)]
+    names = [toa.receivers.subset(c).names for c in (first, np.asarray(~first))]
     return Halves((names[0], names[1]), rows, scores)
 
 
@@ -155,8 +155,8 @@ def check_halves(toa: ArrivalTimes, first: np.ndarray, least: int) -> None:
     """Raise InputError where two halves cannot be compared."""
     if least < _FEWEST:
         raise InputError(f"{least} receivers tell no position: pings need at least {_FEWEST}")
-    heard = [toa.heard[:, c] for c in (first, ~first)]
-    names = [toa.receivers.subset(c) for c in (first, ~first)]
+    heard = [toa.heard[:, c] for c in (first, np.asarray(~first))]
+    names = [toa.receivers.subset(c) for c in (first, np.asarray(~first))]
     for table, half in zip(heard, names, strict=True):
         n = len(half.subset(table.any(axis=0)).names)
         if n < least:
