@@ -147,7 +147,7 @@ def halves(
     both = (n_a >= least) & (n_b >= least)
     track_a, track_b = (a[both], sd_a[both]), (b[both], sd_b[both])
     rows, scores = compare_halves(toa.ping[both], track_a, track_b, (n_a[both], n_b[both]))
-    names = [toa.receivers.subset(c).names for c in (first, np.asarray(~first))]
+    names = [toa.receivers.subset(np.flatnonzero(c)).names for c in (first, ~first)]
     return Halves((names[0], names[1]), rows, scores)
 
 
