@@ -172,7 +172,7 @@ _LAKES = {
 
 def worlds(tracks: int) -> Iterator[World]:
     """All worlds; those that are drawn have so many tracks each."""
-    for name in ("wall_400", "fixed_150", "fixed_600"):
+    for name in ("wall_400", "fixed_150"):
         yield World(f"walls/{name}", partial(_walls, name), _WALL)
     for key, (name, kind) in enumerate(_WALL_KINDS.items()):
         yield World(

@@ -86,7 +86,7 @@ def score(fitted: Fitted, case: Case) -> dict[str, float]:
         "cover_y": float(inside[1]),
         "ellipse": float((far < 5.991).mean()),
         "square": float((error**2).mean()),
-        "sd": float(np.sqrt((sd[known] ** 2).sum(axis=1).mean())),
+        "variance": float((sd[known] ** 2).sum(axis=1).mean()),
         "radial": float((np.linalg.norm(from_middle + off, axis=1) - away).mean()),
         "radial_sd": float(np.sqrt(np.einsum("ti,tij,tj->t", out, covariance, out)).mean()),
     }
@@ -129,7 +129,7 @@ def summed_up(rows: list[dict]) -> dict[str, float]:
         "failed": len(rows) - len(fitted),
         "pings": sum(r["pings"] for r in fitted),
         "cover": (mean["cover_x"] + mean["cover_y"]) / 2,
-        "rms/sd": mean["square"] ** 0.5 / mean["sd"],
+        "rms/sd": (mean["square"] / mean["variance"]) ** 0.5,
         "bias": abs(mean["radial"]) / mean["radial_sd"],
         "cpu": float(np.median([r["cpu"] for r in fitted])),
         "warned": sum(bool(r["warned"]) for r in fitted),
@@ -143,7 +143,11 @@ def missed(world: World, s: dict[str, float], before: float | None = None) -> li
     for name, (low, high) in world.asked.items():
         if not low <= round(s.get(name, np.nan), fine.get(name, 3)) <= high:
             out.append(name)
-    if world.worse is not None and before is not None and not s["mean"] <= world.worse * before:
+    if (
+        world.worse is not None
+        and before is not None
+        and not s.get("mean", np.inf) <= world.worse * before
+    ):
         out.append(f"mean over {world.worse:g} x {before:.3f}")
     return out + [f"{s['failed']} failed"] * bool(s["failed"])
 

@@ -164,13 +164,16 @@ def score_lines(found: list[TagHalves]) -> list[str]:
 def _named(found: TagHalves, most: int = 3) -> str:
     """Name the receivers whose direct arrivals are late or early on the whole."""
     far = found.offsets.filter("far")
+    if not len(far):
+        return ""
     parts = [
         f"{r['receiver']} {r['median']:+.2f} m (se {r['se']:.2f}, {r['n']} arrivals)"
         for r in far.head(most).iter_rows(named=True)
     ]
-    more = f", and {len(far) - most} more" if len(far) > most else ""
-    return f"{found.tag}: direct arrivals off on the whole at {'; '.join(parts)}{more}" * bool(
-        parts
+    more = ", ..." if len(far) > most else ""
+    return (
+        f"{found.tag}: direct arrivals are off on the whole at {len(far)} of {len(found.offsets)} "
+        f"receivers: {', '.join(parts)}{more}"
     )
 
 
