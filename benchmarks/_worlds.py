@@ -49,6 +49,8 @@ class World:
         Fields of `TrackOptions`, where a user has reason to give them.
     worse : float, optional
         Greatest mean error over the best of the builds beside it.
+    peer : callable, optional
+        From the folder of the data to the mean error (m) of another program in it.
     """
 
     name: str
@@ -56,6 +58,7 @@ class World:
     asked: Mapping[str, tuple[float, float]]
     options: Mapping[str, Any] = field(default_factory=dict)
     worse: float | None = None
+    peer: Callable[[Path], float] | None = None
 
 
 def _with_truth(folder: Path, name: str, **how: Any) -> Case:
@@ -70,12 +73,18 @@ def _with_truth(folder: Path, name: str, **how: Any) -> Case:
     return Case(toa if column is None else toa.replace(column=column), truth)
 
 
+def _found(folder: Path, pattern: str) -> list[Path]:
+    if not (files := sorted(folder.glob(pattern))):
+        raise FileNotFoundError(f"no {pattern} in {folder}")
+    return files
+
+
 def _walls(name: str, data: Path) -> list[Callable[[], Case]]:
     return [partial(_with_truth, data / "walls", f"{name}.csv")]
 
 
 def _rays(start: str, how: str, data: Path) -> list[Callable[[], Case]]:
-    (folder,) = (data / "rays").glob(f"{start}_*")
+    (folder,) = _found(data / "rays", f"{start}_*")
     known: dict[str, Any] = {}
     if how:
         known["sound_speed"] = json.loads((folder / "params.json").read_text())["c_mean"]
@@ -118,12 +127,12 @@ def _ssu1(data: Path) -> list[Callable[[], Case]]:
 
 
 def _canal(cell: str, data: Path) -> list[Callable[[], Case]]:
-    files = sorted((data / "sim_canal").glob(f"track*_{cell}.csv"))
+    files = _found(data / "sim_canal", f"track*_{cell}.csv")
     return [partial(_with_truth, data / "sim_canal", f.name) for f in files]
 
 
 def _lake(kind: str, schedule: maloc.Schedule, data: Path) -> list[Callable[[], Case]]:
-    files = sorted((data / "sim_lake").glob(f"lake*_{kind}_*.csv"))
+    files = _found(data / "sim_lake", f"lake*_{kind}_*.csv")
     return [
         partial(
             _with_truth,
@@ -134,6 +143,22 @@ def _lake(kind: str, schedule: maloc.Schedule, data: Path) -> list[Callable[[], 
         )
         for f in files
     ]
+
+
+def _yaps(folder: str, cell: str, data: Path) -> float:
+    """Mean error of YAPS on the files of a cell, m."""
+    table = pl.read_csv(data / folder / "yaps_results.csv")
+    return float(np.mean(table.filter(pl.col("file").str.contains(cell))["mean"].to_numpy()))
+
+
+def _towed(track: str, time: str, data: Path) -> float:
+    """Mean distance of another program's positions from the GPS, m; those that were heard."""
+    table = pl.read_csv(data / track)
+    table = table.filter(pl.col("nobs") > 0) if "nobs" in table.columns else table
+    gps, t = read_gps((data / track).parent / "gps.csv"), table[time].to_numpy()
+    true = np.column_stack([np.interp(t, gps[:, 2], gps[:, a]) for a in (0, 1)])
+    off = np.linalg.norm(table["x", "y"].to_numpy() - true, axis=1)
+    return float(off[(t > gps[0, 2]) & (t < gps[-1, 2])].mean())
 
 
 def _drawn(
@@ -148,6 +173,7 @@ def _drawn(
 
 
 _WALL = {"mean": (0.0, 0.6), "p95": (0.0, 2.0), "cover": (0.93, 0.97)}
+_STILL = _WALL | {"cover": (0.93, 1.0)}  # errors of a tag that lies still are one error
 _ELLIPSE = {"ellipse": (0.92, 0.97)}
 _ROBUST = {"cover": (0.93, 0.97)} | _ELLIPSE
 _SIMULATED = {"cover": (0.93, 0.97)}
@@ -161,6 +187,7 @@ _WALL_KINDS = {
     "far": WallWorld(late=(12.0, 135.0), spread=(0.2, 4.0)),
     "fixed third": WallWorld(fixed=True, share=0.33, late=(12.0, 135.0), spread=(0.2, 4.0)),
     "fixed half": WallWorld(fixed=True, share=0.5, late=(12.0, 135.0), spread=(0.2, 4.0)),
+    "fixed most": WallWorld(600, True, 0.6, (12.0, 135.0), (0.2, 4.0), interval=(540.0, 660.0)),
 }
 _FAR_OFF = ((400, 800), (400, 1500), (400, 2500), (800, 2500))
 _CELLS = [f"na{na}_mp{mp}" for na in ("00", "30", "50") for mp in ("00", "06", "15")]
@@ -172,18 +199,18 @@ _LAKES = {
 
 def worlds(tracks: int) -> Iterator[World]:
     """All worlds; those that are drawn have so many tracks each."""
-    for name in ("wall_400", "fixed_150"):
-        yield World(f"walls/{name}", partial(_walls, name), _WALL)
+    yield World("walls/wall_400", partial(_walls, "wall_400"), _WALL)
+    yield World("walls/fixed_150", partial(_walls, "fixed_150"), _STILL)
     for key, (name, kind) in enumerate(_WALL_KINDS.items()):
-        yield World(
-            f"walls/{name}", _drawn(100 + key, max(tracks // 4, 1), wall_world, kind), _WALL
-        )
+        drawn = _drawn(100 + key, max(tracks // 4, 1), wall_world, kind)
+        yield World(f"walls/{name}", drawn, _STILL if kind.fixed else _WALL)
     for how in ("", "speed", "depth"):
         for name, best in _BEST_BY_RAYS.items():
             asked = _ELLIPSE if best is None else _ELLIPSE | {"mean": (0.0, best)}
             yield World(f"rays/{name} {how}".strip(), partial(_rays, name, how), asked)
-    yield World("scirep", _scirep, _TOWED, {"sound_speed": "estimated"})
-    yield World("ssu1", _ssu1, _BOAT)
+    umap = partial(_towed, "scirep/peer_umap.csv", "top")
+    yield World("scirep", _scirep, _TOWED, {"sound_speed": "estimated"}, peer=umap)
+    yield World("ssu1", _ssu1, _BOAT, peer=partial(_towed, "ssu1/peer_yaps_track.csv", "epo"))
     for key, name in enumerate(CASES):
         more = 1.02 if name == "right" else 1.0
         drawn = _drawn(200 + key, tracks, wrong_arrivals, name)
@@ -192,6 +219,8 @@ def worlds(tracks: int) -> Iterator[World]:
         drawn = _drawn(300 + key, tracks, far_animal, d, away)
         yield World(f"outside/{d} {away}", drawn, _FAR)
     for cell in _CELLS:
-        yield World(f"sim_canal/{cell}", partial(_canal, cell), _SIMULATED, worse=1.01)
+        how = {"worse": 1.01, "peer": partial(_yaps, "sim_canal", cell)}
+        yield World(f"sim_canal/{cell}", partial(_canal, cell), _SIMULATED, **how)
     for kind, schedule in _LAKES.items():
-        yield World(f"sim_lake/{kind}", partial(_lake, kind, schedule), _SIMULATED, worse=1.01)
+        how = {"worse": 1.01, "peer": partial(_yaps, "sim_lake", kind)}
+        yield World(f"sim_lake/{kind}", partial(_lake, kind, schedule), _SIMULATED, **how)

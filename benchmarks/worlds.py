@@ -7,7 +7,7 @@ are drawn here (simulations/) need none. A row a world: mean over its tracks of 
 95 % error (m), shares of truth inside the 95 % limits by axis and inside the 95 % ellipse, root
 mean square error over the stated standard deviation, error of the distance from the array's middle
 over its own, how many runs warn, CPU seconds of a fit (median; a first fit pays for compiling),
-whether what is asked is met, and what that is.
+another program's mean error, whether what is asked is met, and what that is.
 
 Every track's scores are kept as a line of ``--results``, by the build (a digest of the package's
 source), so that a run that was stopped goes on where it was, and another build is printed beside:
@@ -29,7 +29,7 @@ import numpy as np
 
 import maloc
 from benchmarks._worlds import Case, World, worlds
-from maloc.errors import FitError
+from maloc.errors import FitError, InputError
 from maloc.runs.fit_tag import Fitted, fit_tag
 from maloc.runs.log import Log
 from maloc.runs.options import TrackOptions
@@ -156,16 +156,19 @@ def header() -> str:
     """The table's head."""
     head = f"{'world':24}{'tracks':>7}{'pings':>7}"
     head += "".join(f"{name:>{form[1]}}" for name, form in _COLUMNS.values())
-    return f"{head}{'warned':>7}  met; asked"
+    return f"{head}{'warned':>7}{'peer':>7}  met; asked"
 
 
-def line(world: World, s: dict[str, float], before: float | None = None, label: str = "") -> str:
-    """A world's row."""
+def line(
+    world: World, s: dict[str, float], peer: float, before: float | None = None, label: str = ""
+) -> str:
+    """A world's row, with the mean error of another program (m; NaN: none is known)."""
     out = f"{label or world.name:24}{s['tracks']:>7}{s['pings']:>7}"
     out += "".join(f"{s.get(k, np.nan):{form}}" for k, (_, form) in _COLUMNS.items())
     out += f"{s['warned']:>7}"
     if label:
         return out
+    out += f"{'-' if np.isnan(peer) else f'{peer:.2f}':>7}"
     wanted = [
         f"{k} {lo:g}-{hi:g}" if lo else f"{k} <= {hi:g}" for k, (lo, hi) in world.asked.items()
     ]
@@ -225,13 +228,18 @@ def main(argv: list[str] | None = None) -> None:
                 file.write(json.dumps({"build": build, "world": name, "track": i} | found) + "\n")
                 file.flush()
 
-            s = summed_up(run_world(world, given.data, options, kept, put))
+            try:
+                peer = np.nan if world.peer is None else world.peer(given.data)
+                s = summed_up(run_world(world, given.data, options, kept, put))
+            except (FileNotFoundError, InputError) as problem:
+                print(f"{world.name:24}not run: {problem}", flush=True)
+                continue
             others = {b: _of(results[b], world.name, s["tracks"]) for b in beside}
             means = [o["mean"] for o in others.values() if o and "mean" in o]
-            print(line(world, s, min(means, default=None)), flush=True)
+            print(line(world, s, peer, min(means, default=None)), flush=True)
             for name, o in others.items():
                 if o:
-                    print(line(world, o, label=f"  {name}"), flush=True)
+                    print(line(world, o, peer, label=f"  {name}"), flush=True)
             met += not missed(world, s, min(means, default=None))
     print(f"\n{met} of {len(chosen)} worlds met")
 
