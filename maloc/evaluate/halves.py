@@ -158,7 +158,7 @@ def check_halves(toa: ArrivalTimes, first: np.ndarray, least: int) -> None:
     heard = [toa.heard[:, c] for c in (first, np.asarray(~first))]
     names = [toa.receivers.subset(c) for c in (first, np.asarray(~first))]
     for table, half in zip(heard, names, strict=True):
-        n = len(half.subset(table.any(axis=0)).names)
+        n = len(half.subset(np.flatnonzero(table.any(axis=0))).names)
         if n < least:
             tag = f"tag {toa.tag}: " if toa.tag else ""
             raise InputError(

@@ -222,9 +222,11 @@ def _write(
     folder: Path, found: list[TagHalves], source: Source, options: HalvesOptions, log: Log
 ) -> None:
     import polars as pl
+    import polars.selectors as cs
 
-    tables = [f.halves.rows.with_columns(pl.lit(f.tag).alias("tag")) for f in found]
-    output.write_table(pl.concat(tables), folder / "halves.csv")
+    tables = [f.halves.rows.select(pl.lit(f.tag).alias("tag"), pl.all()) for f in found]
+    rows = pl.concat(tables).with_columns(cs.float().round(4))
+    output.write_table(rows, folder / "halves.csv")
     tags = {
         f.tag: {
             "receivers_a": f.halves.receivers[0],
