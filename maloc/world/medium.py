@@ -21,7 +21,7 @@ from maloc.world.seawater import CHEN_MILLERO_SD, chen_millero, mackenzie
 if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes
 
-__all__ = ["chen_millero", "mackenzie", "sound_profile", "speed_among", "with_sound_speed"]
+__all__ = ["chen_millero", "mackenzie", "sound_profile", "with_sound_speed"]
 
 UNSTATED_SD = 1.0  # m/s: loggers' errors, and the water between them, where a table says nothing
 _DAY = 86_400.0  # s
