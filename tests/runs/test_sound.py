@@ -170,3 +170,29 @@ def test_errors_of_the_receivers_places(study):
     toa, _ = read(study, receiver_sd=1.5)
     assert toa.receivers.position_sd is not None
     np.testing.assert_allclose(toa.receivers.position_sd, 1.5)
+
+
+@pytest.mark.extended
+def test_limits_hold_below_a_thermocline(shared_dir, tmp_path):
+    """Rays bent by Bellhop: exact, the column's mean speed misleads; a profile does not."""
+    from maloc import infer, models
+    from maloc.infer.track import track_table
+
+    place = shared_dir / "data" / "rays" / "s08_thermo_mud_deep"
+    depth = np.arange(0.0, 12.25, 0.25)
+    step = 10.0 + 14.0 / (1 + np.exp((depth - 6.5) / 0.8))
+    cast = {"depth": depth, "temperature": step, "salinity": np.zeros(len(depth))}
+    pl.DataFrame(cast).write_csv(tmp_path / "cast.csv")
+    files = {"toa": place / "toa_depth.csv", "receivers": place / "receivers.csv"}
+    truth = pl.read_csv(place / "toa.csv", null_values=["NA"]).select("x", "y").to_numpy()
+    held = {}
+    for name, how in {
+        "mean": {"sound_speed": "1473.25", "sound_speed_sd": "exact"},
+        "profile": {"sound_speed": str(tmp_path / "cast.csv")},
+    }.items():
+        toa, _ = read(tmp_path, **files, **how, depth="sensor", depth_sd=0.5, bottom="12")
+        fit = infer.laplace(models.toa_track, toa, draws=400, seed=1)
+        table = track_table(fit, toa, 1).filter(pl.col("heard"))
+        low, high = (table.select(f"x_{end}", f"y_{end}").to_numpy() for end in ("lo", "hi"))
+        held[name] = float(np.mean((low <= truth) & (truth <= high)))
+    assert held["mean"] < 0.8 and 0.92 <= held["profile"] <= 0.97
