@@ -16,7 +16,9 @@ DIMS = {"depth": ("ping",), "depth_mean": ("tag",), "depth_level": ("tag",)}
 
 
 def depth(data, position, tag=None, n_tags: int = 1):
-    """Sites of the depth (T,) m, and its squared vertical distances (T, R) m2; 0 for flat tracks.
+    """Sites of the depth (T,) m; its squared vertical distances (T, R) m2, and slownesses (T, R).
+
+    Flat tracks: 0 and 1. A slowness is that of a straight ray, over the reference speed's.
 
     Sites: ``depth_path`` (T, 1) m, ``depth`` (T,) m, positive down, see `maloc.depth`;
     ``depth_mean`` () or (N,) m, ``depth_level`` times the water; ``depth_sd`` (m), ``depth_t05``
@@ -24,9 +26,10 @@ def depth(data, position, tag=None, n_tags: int = 1):
     """
     water = data.depth
     if water is None:
-        return 0.0
+        return 0.0, 1.0
     if water.known:
-        return water.square(numpyro.deterministic("depth", water.observed))
+        found = numpyro.deterministic("depth", water.observed)
+        return water.square(found), water.slowness(found)
     sd = numpyro.sample("depth_sd", dist.LogNormal(jnp.log(0.2 * water.bottom), 0.7))
     t05 = numpyro.sample("depth_t05", dist.LogNormal(jnp.log(1800.0), 1.5))
     law = dist.Uniform(0.0, 1.0)
@@ -38,7 +41,7 @@ def depth(data, position, tag=None, n_tags: int = 1):
     sensor = PressureSensor(found, water.sd)
     own = {"per_state": True}
     numpyro.sample("depth_sensor", sensor.mask(water.sensed), obs=water.observed, infer=own)
-    return water.square(found)
+    return water.square(found), water.slowness(found)
 
 
 def slanted(distance, data, down):

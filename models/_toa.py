@@ -85,17 +85,19 @@ def within_limits(data, time) -> None:
     numpyro.factor("schedule", jnp.where(data.interval_known, inside, 0.0))
 
 
-def arrivals(data, position, emission, ratio, error: str, clock_sd=None, down: Any = 0.0) -> None:
+def arrivals(
+    data, position, emission, ratio, error: str, clock_sd=None, down: Any = 0.0, slowness: Any = 1.0
+) -> None:
     """Sites of the arrival error, and the arrivals themselves; ``ratio`` () or (T,) of speeds.
 
-    ``down`` (T, R): squared vertical distances, m2.
+    ``down`` (T, R): squared vertical distances, m2; ``slowness`` (T, R): over the reference's.
     """
     sigma = numpyro.sample("sigma", dist.LogNormal(jnp.log(2.0), 1.5))
     east = position[:, :1] - data.receiver_xy.T[:1]
     north = position[:, 1:] - data.receiver_xy.T[1:]
     distance = jnp.sqrt(east**2 + north**2 + 0.25 + down)
     ratio = ratio[:, None] if jnp.ndim(ratio) else ratio
-    arrival = (emission[:, None] + distance) / ratio
+    arrival = (emission[:, None] + distance * slowness) / ratio
     if clock_sd is not None:
         sigma = jnp.sqrt(sigma**2 + clock_sd**2)
     if error == "ddetect":

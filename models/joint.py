@@ -91,7 +91,7 @@ def joint(
     else:
         position = _toa.in_water(_toa.path(data, movement, *tags), water)
         numpyro.deterministic("position", position)
-    down = _depth.depth(data, position, *tags)
+    down, slowness = _depth.depth(data, position, *tags)
     if arrivals is not None:
         emission = _toa.emission(data)
         ratio = _toa.speed_ratio(data, sound_speed)
@@ -100,7 +100,7 @@ def joint(
             _toa.beat(data, time)
         elif schedule and data.schedule == "random":
             _toa.within_limits(data, time)
-        _toa.arrivals(data, position, emission, ratio, arrivals, data.clock_sd, down)
+        _toa.arrivals(data, position, emission, ratio, arrivals, data.clock_sd, down, slowness)
     if detection is not None:
         stretch = _parts.range_drift(data) if range_drift else None
         how = (detection, loss, receiver_effects, dispersion, _depth.slanted(distance, data, down))

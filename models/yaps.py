@@ -66,7 +66,7 @@ def yaps(toa, *, error="mixture", sound_speed="auto"):
     )
     data = as_toa_data(toa)
     position = numpyro.deterministic("position", _toa.path(data, "rw"))
-    down = _depth.depth(data, position)
+    down, slowness = _depth.depth(data, position)
     emission = _toa.emission(data)
     ratio = 1.0
     if sound_speed == "walk" or (sound_speed == "auto" and not data.speed_known):
@@ -84,7 +84,7 @@ def yaps(toa, *, error="mixture", sound_speed="auto"):
         numpyro.factor("burst_interval", about)
         looser = jnp.stack([(1 - _LOOSER) * low, (1 + _LOOSER) * high])
         _toa.within_limits(dataclasses.replace(data, interval=looser), time)
-    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd, down)
+    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd, down, slowness)
 
 
 def _steady(data, time) -> None:

@@ -17,8 +17,10 @@ from maloc.cli.options import (
     Format,
     Out,
     Quiet,
+    ReceiverSd,
     Reference,
     Seed,
+    SpeedSd,
     TagTable,
     Zone,
 )
@@ -135,6 +137,8 @@ def sync(
             help="m/s; estimated, as one number; of the water's state. Left out: it may vary.",
         ),
     ] = None,
+    sound_speed_sd: SpeedSd = None,
+    receiver_sd: ReceiverSd = None,
     anchors: Annotated[
         Path | None,
         typer.Option(
@@ -160,6 +164,7 @@ def sync(
 
     reading = Reading(format, tz, clock, tag_table)
     asked: dict[str, Any] = {"reference": reference, "sound_speed": sound_speed}
+    asked |= {"sound_speed_sd": sound_speed_sd, "receiver_sd": receiver_sd}
     how: dict[str, Any] = {"anchors": anchors, "crs": crs, "seed": seed, "reading": reading}
     found = run_sync(detections, receivers, out, **asked, **how, force=force, quiet=quiet)
     if not quiet:

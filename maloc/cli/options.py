@@ -16,10 +16,12 @@ __all__ = [
     "IgnoreColumns",
     "Out",
     "Quiet",
+    "ReceiverSd",
     "ReceiverTable",
     "Reference",
     "Scheduler",
     "Seed",
+    "SpeedSd",
     "TagTable",
     "Tags",
     "Toa",
@@ -52,6 +54,22 @@ TagTable = Annotated[
 ]
 
 ReceiverTable = Annotated[Path, typer.Option("--receivers", help="The table of receivers.")]
+ReceiverSd = Annotated[
+    float | None,
+    typer.Option(
+        "--receiver-sd",
+        metavar="M",
+        help="Error (sd) of receivers' places, m, if the table has none.",
+    ),
+]
+SpeedSd = Annotated[
+    str | None,
+    typer.Option(
+        "--sound-speed-sd",
+        metavar="S|exact",
+        help="Error (sd) of the sound speed given, m/s; by default 3, or as a table has it.",
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 Detections = Annotated[
     list[Path] | None, typer.Argument(help="Files of detections (or give --toa).")

@@ -27,6 +27,7 @@ __all__ = [
     "Receivers",
     "Schedule",
     "SetAside",
+    "SoundProfile",
     "Tags",
     "WaterColumn",
     "arrival_history",
@@ -53,6 +54,7 @@ _HOME = {
     "Receivers": "receivers",
     "Schedule": "arrivals",
     "SetAside": "arrivals",
+    "SoundProfile": "sound_profile",
     "Tags": "tags",
     "WaterColumn": "water_column",
     "arrival_history": "joint_history",
@@ -78,6 +80,7 @@ if TYPE_CHECKING:
     from maloc.data.preparation import Prepared, prepare
     from maloc.data.receivers import Receivers, collinear
     from maloc.data.report import Note, ReadReport
+    from maloc.data.sound_profile import SoundProfile
     from maloc.data.tags import Tags, sensor_values
     from maloc.data.water_column import WaterColumn
 else:

@@ -14,6 +14,7 @@ from maloc.data import _arrays
 from maloc.data._time import duration, iso
 from maloc.data.receivers import Receivers
 from maloc.data.report import ReadReport
+from maloc.data.sound_profile import SoundProfile
 from maloc.data.water_column import WaterColumn
 from maloc.errors import InputError
 
@@ -154,11 +155,14 @@ class ArrivalTimes:
         Standard error of the receivers' clocks then, s (`maloc.sync.ClockSync.clock_sd`); None =
         not known, clocks taken as exact.
     sound_speed_sd : float, optional
-        Standard deviation of an error of the sound speed that all pings share, m/s; None = unknown.
+        Standard deviation of an error of the sound speed that all pings share, m/s; None = not
+        known; models then take the speed as exact unless they are told to estimate it.
     set_aside : SetAside
         Detections that are in no ping.
     report : ReadReport
         What was read, and the notes made on the way.
+    profile : SoundProfile, optional
+        Sound speed by depth, which tracks with depth go by (`maloc.medium.with_sound_speed`).
 
     Raises
     ------
@@ -181,6 +185,7 @@ class ArrivalTimes:
     sound_speed_sd: float | None = None
     set_aside: SetAside = field(default_factory=SetAside)
     report: ReadReport = field(default_factory=ReadReport)
+    profile: SoundProfile | None = None
 
     def __post_init__(self) -> None:
         toa = np.asarray(self.toa, dtype=np.float64)

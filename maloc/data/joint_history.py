@@ -14,6 +14,7 @@ from maloc.data._encounter_pings import travel_slack
 from maloc.data._links import Links
 from maloc.data.arrivals import ArrivalTimes, Schedule
 from maloc.data.encounters import EncounterHistory
+from maloc.data.sound_profile import SoundProfile
 from maloc.data.water_column import WaterColumn
 from maloc.errors import InputError
 
@@ -69,6 +70,11 @@ class ArrivalHistory:
         return self.toas[0].column
 
     @property
+    def profile(self) -> SoundProfile | None:
+        """Sound speed by depth, see `ArrivalTimes`."""
+        return self.toas[0].profile
+
+    @property
     def sensed_depth(self) -> np.ndarray:
         """Depths (P,) m that the tags sent; NaN = none."""
         each = [np.full(len(t), np.nan) if t.depth is None else t.depth for t in self.toas]
@@ -114,13 +120,15 @@ def arrival_history(
     Raises
     ------
     InputError
-        If no ping was heard, receivers or schedules differ, a sequence fits nowhere, or a stable
-        interval explains fewer than nine gaps in ten.
+        If no ping was heard, receivers, schedules or profiles differ, a sequence fits nowhere, or
+        a stable interval explains fewer than nine gaps in ten.
     """
     given = [toas] if isinstance(toas, ArrivalTimes) else list(toas)
     schedule = next((t.schedule for t in given if t.heard.any()), Schedule())
     if any(t.column != given[0].column for t in given):
         raise InputError("tags differ in their water column", mend="give all of them the same")
+    if any(t.profile != given[0].profile for t in given):
+        raise InputError("tags differ in their profile of sound speed", mend="give all the same")
     kind = "sequence" if sequence is not None else schedule.kind
     filled, links = [], []
     for toa in given:

@@ -42,12 +42,15 @@ class Receivers:
         Frame of x, y when it is known, such as "EPSG:32617".
     report : ReadReport
         What was read, and the notes made on the way.
+    position_sd : array (D,) of float64, optional
+        Standard deviation of the error of x, and of y, m; 0 = exact. None = nothing is known of
+        it, and places are taken as they are.
 
     Raises
     ------
     InputError
-        If lengths differ, a coordinate is not finite, a deployment ends before it starts, or two
-        deployments of one receiver overlap.
+        If lengths differ, a coordinate or an sd is not finite, an sd is negative, a deployment
+        ends before it starts, or two deployments of one receiver overlap.
     """
 
     receiver: np.ndarray
@@ -59,6 +62,7 @@ class Receivers:
     end: np.ndarray = None  # pyright: ignore[reportAssignmentType]
     crs: str | None = None
     report: ReadReport = field(default_factory=ReadReport)
+    position_sd: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         receiver = _arrays.text(self.receiver, "receiver")
@@ -78,6 +82,11 @@ class Receivers:
             "start": start,
             "end": end,
         }
+        if self.position_sd is not None:
+            sd = _arrays.floats(self.position_sd, "position_sd", (n,), finite=True)
+            if (sd < 0).any():
+                raise InputError(f"position_sd {sd.min():g} m is negative")
+            checked["position_sd"] = sd
         if (receiver == "").any():
             raise InputError("a receiver has no name")
         if problem := deployment_problem(receiver, start, end):
@@ -87,7 +96,7 @@ class Receivers:
 
     def __reduce__(self):
         args = (self.receiver, self.x, self.y, self.depth, self.sync_tag, self.start, self.end)
-        return Receivers, (*args, self.crs, self.report)
+        return Receivers, (*args, self.crs, self.report, self.position_sd)
 
     def __len__(self) -> int:
         return len(self.receiver)
@@ -117,7 +126,8 @@ class Receivers:
         """Return the deployments at these indices (or where a boolean mask is true), in order."""
         i = np.asarray(indices)
         i = i if i.dtype == bool else i.astype(np.int64)
-        fields = ("receiver", "x", "y", "depth", "sync_tag", "start", "end")
+        fields = ["receiver", "x", "y", "depth", "sync_tag", "start", "end"]
+        fields += [] if self.position_sd is None else ["position_sd"]
         return replace(self, **{f: getattr(self, f)[i] for f in fields})
 
     def deployment_of(self, receiver: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -189,7 +199,10 @@ class Receivers:
         return moved.call(name, "maloc.readers", "read_receivers", data, crs=crs)
 
     def to_frame(self) -> pl.DataFrame:
-        """Return a polars DataFrame: receiver, x, y, depth, sync_tag, start, end (null = open)."""
+        """Return a polars DataFrame: receiver, x, y, depth, sync_tag, start, end (null = open), sd.
+
+        sd only where `position_sd` is known.
+        """
         import polars as pl
 
         def times(values: np.ndarray, name: str, opened: int) -> pl.Series:
@@ -206,6 +219,7 @@ class Receivers:
                 pl.Series("sync_tag", [s or None for s in self.sync_tag.tolist()], dtype=pl.String),
                 times(self.start, "start", OPEN_START),
                 times(self.end, "end", OPEN_END),
+                *([] if self.position_sd is None else [pl.Series("sd", self.position_sd)]),
             ]
         )
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from maloc._jax import jax
+from maloc.data._time import NS
 from maloc.data.joint_history import ArrivalHistory, as_history
 from maloc.model_data.arrivals import ArrivalData, Numbers
 from maloc.model_data.encounters import EncounterData
@@ -19,6 +20,7 @@ from maloc.model_data.encounters import to_model_data as who_heard
 from maloc.model_data.states import chain
 from maloc.model_data.toa import MIN_LATENESS, SPEED_SD
 from maloc.world.depth_data import DepthData, depth_data
+from maloc.world.ray import profile_ray
 
 __all__ = ["JointData", "as_joint_data", "to_model_data"]
 
@@ -137,12 +139,14 @@ def to_model_data(history: ArrivalHistory, pad: bool = True) -> JointData:
     sensed = np.where(ping, history.sensed_depth[row], np.nan)
     column, whose = history.column, states.tag
     grid, along = ((0, more), (0, wider)), (0, more)
+    reference = np.pad(speed, along, mode="edge")
+    ray = profile_ray(history.profile, states.time + (who.origin or 0) / NS, reference)
     data = JointData(
         encounters=encounters,
         range=np.pad(arrival * speed[:, None], grid),
         heard=np.pad(heard, grid),
         clock_sd=np.pad(history.clock_sd[row] * speed[:, None], grid),
-        speed=np.pad(speed, along, mode="edge"),
+        speed=reference,
         speed_sd=np.asarray(history.speed_sd or SPEED_SD),
         receiver_xy=xy,
         centre=used.mean(axis=0),
@@ -151,7 +155,7 @@ def to_model_data(history: ArrivalHistory, pad: bool = True) -> JointData:
         n_intervals=np.pad(n_intervals, along),
         nominal=np.pad(nominal, along),
         interval=np.asarray(history.interval, float),
-        depth=depth_data(column, who.receivers, sensed, states.time, whose, more, wider),
+        depth=depth_data(column, who.receivers, sensed, states.time, whose, more, wider, ray),
         schedule=history.schedule,
         silence=history.silence,
         speed_known=history.speed_sd is None,

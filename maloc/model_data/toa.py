@@ -15,9 +15,11 @@ from jaxtyping import Bool, Float
 from maloc._jax import jax
 from maloc.data._links import count_intervals
 from maloc.data._padding import bucket
+from maloc.data._time import NS
 from maloc.data.arrivals import ArrivalTimes
 from maloc.model_data.arrivals import ArrivalData, Numbers
 from maloc.world.depth_data import DepthData, depth_data
+from maloc.world.ray import profile_ray
 
 __all__ = ["ToaData", "as_toa_data", "bucket", "to_model_data"]
 
@@ -106,12 +108,13 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
     steps = np.maximum(np.diff(first), _MIN_STEP)
     step = float(np.median(steps)) if n_pings > 1 else 60.0
     padding, clock = ((0, more), (0, wider)), toa.clock_sd
+    padded_speed = np.append(speed, np.full(more, speed[-1]))
     data = ToaData(
         range=np.asarray(np.pad(ranges, padding)),
         heard=np.asarray(np.pad(heard, padding)),
         time=np.asarray(np.append(first, first[-1] + step * np.arange(1, more + 1))),
         dt=np.asarray(np.append(steps, np.full(more, step))),
-        speed=np.asarray(np.append(speed, np.full(more, speed[-1]))),
+        speed=np.asarray(padded_speed),
         speed_sd=np.asarray(SPEED_SD if sd is None else sd / float(speed.mean())),
         receiver_xy=np.asarray(np.concatenate([xy, np.repeat(centre[None], wider, axis=0)])),
         centre=np.asarray(centre),
@@ -129,6 +132,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
             first,
             more=more,
             wider=wider,
+            ray=profile_ray(toa.profile, first + (toa.origin or 0) / NS, padded_speed),
         ),
         schedule=schedule.kind,
         speed_known=sd is None,

@@ -39,6 +39,7 @@ RECEIVER = {
     "deployment_start",
     "end": "end end_utc end_time end_time_utc stop stop_utc stop_time recover_date_time "
     "recovery_date recover_date recover_date_time_yyyy_mm_ddthh_mm_ss deployment_end",
+    "sd": "sd position_sd sd_m receiver_sd",
 }
 TAG = {
     "tag": "tag tag_id transmitter acoustic_tag_id full_id tag_code tagname code transmitter_id "

@@ -176,18 +176,23 @@ def read_positions(path: str | Path, crs: str | None = None, tz: str | None = No
     return found if crs is None else found.in_frame(crs)
 
 
-def read_receivers(path: str | Path | Any, crs: str | None = None) -> Receivers:
+def read_receivers(
+    path: str | Path | Any, crs: str | None = None, position_sd: float | None = None
+) -> Receivers:
     """Read the table of receivers, one row a deployment (CSV, Parquet, a sheet of a workbook).
 
     Parameters
     ----------
     path : str, Path or dataframe
         The file. Columns: `receiver` (serial or name), `x`, `y` (m) or `longitude`, `latitude`
-        (degrees), optional `depth` (m, down), `sync_tag`, `start`, `end` (UTC); aliases are read,
-        and the deployment sheets of OTN, GLATOS, ETN and VPS projects.
+        (degrees), optional `depth` (m, down), `sync_tag`, `start`, `end` (UTC), `sd` (m, of the
+        place's error on each axis); aliases are read, and the deployment sheets of OTN, GLATOS,
+        ETN and VPS projects.
     crs : str, optional
         Frame, such as "EPSG:32617": of x, y as they are, or to project longitude and latitude to
         (default: the UTM zone of the array's centre).
+    position_sd : float, optional
+        Standard deviation of the places' errors, m, where the table states none.
 
     Returns
     -------
@@ -197,20 +202,21 @@ def read_receivers(path: str | Path | Any, crs: str | None = None) -> Receivers:
     Raises
     ------
     InputError
-        If a column or a coordinate is missing, or deployments are impossible.
+        If a column or a coordinate is missing, an sd is negative or missing, or deployments are
+        impossible.
     """
     from maloc.readers._files import load, load_all
     from maloc.readers._text import table_of
     from maloc.readers.receivers import matches, receivers_from_table
 
     if not isinstance(path, (str, Path)):
-        return receivers_from_table(_frame(path), crs=crs)
+        return receivers_from_table(_frame(path), crs, position_sd)
     files = load_all(path)
     if len(files) > 1:  # the sheet of a workbook, the member of an archive, that is one
         tables = [t for t in map(table_of, files) if matches(t)]
         if len(tables) == 1:
-            return receivers_from_table(tables[0], crs=crs)
-    return receivers_from_table(table_of(load(path)), crs=crs)
+            return receivers_from_table(tables[0], crs, position_sd)
+    return receivers_from_table(table_of(load(path)), crs, position_sd)
 
 
 def read_toa(

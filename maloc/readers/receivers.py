@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 
@@ -31,7 +33,9 @@ def receivers_from_frame(df: pl.DataFrame, crs: str | None = None) -> Receivers:
     return receivers_from_table(from_frame("dataframe", df), crs)
 
 
-def receivers_from_table(table: Table, crs: str | None = None) -> Receivers:
+def receivers_from_table(
+    table: Table, crs: str | None = None, position_sd: float | None = None
+) -> Receivers:
     """Build Receivers from a table; see `maloc.read_receivers`."""
     if is_vps_sheet(table):
         table = vps_sheet(table)
@@ -65,15 +69,15 @@ def receivers_from_table(table: Table, crs: str | None = None) -> Receivers:
     tag = table.text(roles["sync_tag"]).fill_null("") if "sync_tag" in roles else None
     start = _open(table, roles.get("start"), OPEN_START)
     end = _open(table, roles.get("end"), OPEN_END)
+    sd = _position_sd(table, roles.get("sd"), position_sd)
     names = np.asarray(name.to_list(), dtype=str)
     if problem := deployment_problem(names, start, end):
         mend = "give each deployment its start and end" if "overlap" in problem[1] else None
         raise table.error(problem[1], problem[0], mend=mend)
     report = ReadReport("receivers table", (table.file,), len(table), tuple(notes))
     sync = np.asarray([""] * len(table) if tag is None else tag.to_list(), dtype=str)
-    out = Receivers(names, a, b, depth, sync, start, end, crs, report)
-    extra = _remarks(table, out)
-    return Receivers(names, a, b, depth, sync, start, end, crs, report.add(*extra))
+    out = Receivers(names, a, b, depth, sync, start, end, crs, report, sd)
+    return replace(out, report=report.add(*_remarks(table, out)))
 
 
 def _unique(table: Table) -> Table:
@@ -132,6 +136,23 @@ def _coordinates(
                 i = int(wrong[0])
                 raise table.error(f"{values[i]:g} is not in degrees", i, column)
     return a, b
+
+
+def _position_sd(table: Table, k: int | None, otherwise: float | None) -> np.ndarray | None:
+    """Errors (D,) m of the places: the column's, ``otherwise`` where it is blank; or None."""
+    if k is None:
+        return None if otherwise is None else np.full(len(table), float(otherwise))
+    sd, column = table.numbers(k), table.columns[k]
+    if (sd < 0).any():
+        i = int(np.argmax(sd < 0))
+        raise table.error(f"a position's error of {sd[i]:g} m is negative", i, column)
+    blank = np.isnan(sd)
+    if blank.all() and otherwise is None:
+        return None
+    if blank.any() and otherwise is None:
+        mend = "fill it in, 0 for an exact place, or give --receiver-sd (position_sd= in Python)"
+        raise table.error("the position's error is missing", int(np.argmax(blank)), column, mend)
+    return np.where(blank, np.nan if otherwise is None else otherwise, sd)
 
 
 def _project(

@@ -14,6 +14,7 @@ from maloc.runs.load import load, read_shore
 from maloc.runs.load_encounters import Encounters
 from maloc.runs.log import Log
 from maloc.runs.options import TrackOptions
+from maloc.runs.sound import with_sound
 
 __all__ = ["fit_joint"]
 
@@ -28,7 +29,7 @@ def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
     FitError
         If the fit fails.
     """
-    source = with_depth(load(options, log), options, log)
+    source = with_sound(with_depth(load(options, log), options, log), options, log)
     water = read_shore(options, source.receivers, log)
     log.release()
     with log.stage("engine start"):  # JAX is imported here, and nowhere before

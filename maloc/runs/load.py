@@ -15,6 +15,7 @@ from maloc.runs.asked import ROW, sync_tags, tags_to_fit, too_soon
 from maloc.runs.log import Log
 from maloc.runs.options import TrackOptions
 from maloc.runs.refuse import check_usable, check_whole_seconds
+from maloc.runs.speed import number_sd, sync_speed, usual_speed
 
 if TYPE_CHECKING:
     from maloc.data import ArrivalTimes, Detections, Receivers
@@ -45,7 +46,7 @@ def load(options: TrackOptions, log: Log) -> Source:
         If anything in the input makes positions impossible.
     """
     with log.stage("read"):
-        receivers = options.reading.receivers(options.receivers, options.crs)
+        receivers = options.reading.receivers(options.receivers, options.crs, options.receiver_sd)
         log.report(receivers.report)
         if len(receivers.names) < 2:
             raise InputError(
@@ -69,7 +70,6 @@ def read_shore(options: TrackOptions, receivers: Receivers, log: Log) -> tuple:
 
 def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
     from maloc.readers import read_toa
-    from maloc.world.medium import with_sound_speed
 
     assert options.toa is not None
     with log.stage("read"):
@@ -79,18 +79,29 @@ def _load_toa(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
                 options.toa,
                 receivers,
                 ignore_columns=options.ignore_columns,
-                sound_speed=None if isinstance(given, Path) else given,
+                sound_speed=usual_speed(given),
                 schedule=options.schedule(),
                 tag=tag,
             )
             for tag in _tags_of(options.toa, options.tags)
         ]
-        if isinstance(given, Path):
-            toas = [with_sound_speed(toa, given) for toa in toas]
+        toas = [_as_sure(toa, options) for toa in toas]
         for toa in toas:
             log.report(toa.report)
             check_usable(toa, options.toa)
     return Source(toas, receivers, None, None, {})
+
+
+def _as_sure(toa: ArrivalTimes, options: TrackOptions) -> ArrivalTimes:
+    """Arrival times of a matrix, their sound speed as sure as was said, or as a number is."""
+    given, sd = options.speed(), options.speed_sd()
+    if options.sound_speed in ("estimated", "drifting") or isinstance(given, Path):
+        return toa
+    if given is None and toa.sound_speed_sd is not None:  # there was no column of it
+        if sd is not None:
+            raise InputError("--sound-speed-sd needs --sound-speed C, or a column sound_speed")
+        return toa
+    return toa.replace(sound_speed_sd=number_sd(sd))
 
 
 def _tags_of(toa: Path, asked: tuple[str, ...]) -> list[str | None]:
@@ -104,7 +115,6 @@ def _tags_of(toa: Path, asked: tuple[str, ...]) -> list[str | None]:
 
 def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> Source:
     from maloc.data import toa_matrix
-    from maloc.world.medium import with_sound_speed
 
     with log.stage("read"):
         detections = options.reading.detections(options.detections)
@@ -118,7 +128,7 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         numbered = replace(detections, extra={**detections.extra, ROW: np.arange(len(detections))})
     with log.stage("sync"):
         sync = _sync(options, detections, receivers, log)
-        place = receivers if sync is None else sync.receivers
+        place = receivers if sync is None else _placed(sync)
         common = numbered if sync is None else sync.apply(numbered)
         if options.sync == "beacons":
             common = _roughly(numbered, receivers, options)
@@ -127,10 +137,10 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
         if false:
             log.notice(f"{len(false)} detections set aside: too soon after another at a receiver")
     given = options.speed()
-    speed = None if isinstance(given, Path) else given
-    if speed is None and sync is not None:
-        speed = sync.sound_speed
-    sure = None if sync is None or sync.sound_speed != speed else sync.sound_speed_sd or None
+    speed = usual_speed(given)
+    sure = None if isinstance(given, Path) else number_sd(options.speed_sd())
+    if sync is not None and (speed is None or (options.sync == "auto" and speed == given)):
+        speed, sure = sync.sound_speed, sync.sound_speed_sd or None
     toas, skipped = [], {}
     known: dict[str, Any] = {"sound_speed": speed}
     if options.sync == "beacons":
@@ -145,10 +155,8 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
                     raise InputError(f"tag {tag}: no detection is left on the common clock")
                 toa = grouped(tag, schedule=options.schedule())
                 toa = _with_rows(toa, common, detections, receivers, false)
-                if sure is not None:
+                if speed is not None:
                     toa = toa.replace(sound_speed_sd=sure)
-                if isinstance(given, Path):
-                    toa = with_sound_speed(toa, given)
                 if sync is not None:
                     toa = toa.replace(clock_sd=sync.clock_sd(toa))
                 check_usable(toa)
@@ -163,6 +171,12 @@ def _load_detections(options: TrackOptions, receivers: Receivers, log: Log) -> S
     if not toas:
         raise InputError(f"none of {len(tags)} tags can be positioned", mend="name one with --tag")
     return Source(toas, receivers, detections, sync, skipped, beacons)
+
+
+def _placed(sync: ClockSync) -> Receivers:
+    """Receivers where the synchronisation puts them, as sure as it is of their places."""
+    sd = np.sqrt(np.mean(sync.position_sd**2, axis=1))
+    return replace(sync.receivers, position_sd=sd)
 
 
 def _with_rows(
@@ -226,8 +240,11 @@ def _sync(
         return None
     from maloc.sync import fit
 
-    how = {"reference": options.reference, "progress": not log.quiet}
-    sync = fit(detections, receivers, sound_speed=options.speed(), **how)
+    how: dict[str, Any] = {"reference": options.reference, "progress": not log.quiet}
+    how |= sync_speed(options.speed(), options.speed_sd(), receivers)
+    if receivers.position_sd is not None:
+        how["free_positions"] = receivers.position_sd
+    sync = fit(detections, receivers, **how)
     for note in sync.notes:
         (log.notice if note.level == "info" else log.warn)(note.text)
     log.notice(repr(sync))

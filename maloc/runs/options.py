@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from maloc.errors import InputError
 from maloc.runs.reading import Reading
+from maloc.runs.speed import speed_error, speed_of_water
 
 if TYPE_CHECKING:
     from maloc.data import Schedule
 
-__all__ = ["TrackOptions", "metres", "speed_of_water"]
+__all__ = ["TrackOptions", "metres"]
 
 DEPTHS = "flat", "sensor", "3d"
 
@@ -44,6 +45,8 @@ class TrackOptions:
     depth_sd: float = 1.0
     bottom: str | None = None
     sound_speed: str | None = None
+    sound_speed_sd: str | None = None
+    receiver_sd: float | None = None
     method: str = "laplace"
     start: str = "annealed"
     ignore_columns: tuple[str, ...] = ()
@@ -86,6 +89,7 @@ class TrackOptions:
         if self.detections and self.ignore_columns:
             raise InputError("--ignore-columns goes with --toa only")
         _check_depth(self)
+        _check_sds(self)
         self.schedule()
         self.speed()
 
@@ -114,27 +118,31 @@ class TrackOptions:
         estimated = self.sound_speed in ("estimated", "drifting")
         return None if estimated else speed_of_water(self.sound_speed)
 
+    def speed_sd(self) -> float | None:
+        """How sure the sound speed is, m/s; 0: exact; None: as its source has it."""
+        return speed_error(self.sound_speed_sd)
+
     def record(self) -> dict[str, Any]:
         """The options as plain values."""
         return {k: v for k, v in asdict(self).items()}
 
 
-def speed_of_water(text: str | None) -> float | Path | None:
-    """What --sound-speed gives: m/s, or a table of the water's state."""
-    if text is None:
-        return None
-    if Path(text).is_file():
-        return Path(text)
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = nan
-    if not 1300.0 <= speed <= 1700.0:
+def _check_sds(options: TrackOptions) -> None:
+    """Raise InputError where the options of sds cannot be meant."""
+    options.speed_sd()
+    if options.receiver_sd is not None:
+        if not (isfinite(options.receiver_sd) and options.receiver_sd >= 0):
+            raise InputError(f"--receiver-sd {options.receiver_sd:g} m is negative")
+        if options.model == "detections":
+            raise InputError("--receiver-sd goes with --model toa or joint")
+    if options.sound_speed_sd is None:
+        return
+    if options.sound_speed in ("estimated", "drifting"):
         raise InputError(
-            f"--sound-speed {text} is no file, and no speed of sound in water, 1300 to 1700 m/s",
-            mend="give m/s or a table of the water (see --help for words)",
+            f"--sound-speed-sd goes with a speed, not --sound-speed {options.sound_speed}"
         )
-    return speed
+    if options.sound_speed is None and options.toa is None:
+        raise InputError("--sound-speed-sd needs --sound-speed C or TABLE.csv")
 
 
 def _check_depth(options: TrackOptions) -> None:

@@ -15,6 +15,7 @@ from maloc.export.folder import check_free, output_folder
 from maloc.runs.load import Source, load
 from maloc.runs.log import Log
 from maloc.runs.options import TrackOptions
+from maloc.runs.sound import with_sound
 
 if TYPE_CHECKING:
     import polars as pl
@@ -98,7 +99,7 @@ def run_points(
     place = options.place()
     log = Log(quiet)
     with log.listening():
-        source = load(options.source, log)
+        source = with_sound(load(options.source, log), options.source, log)
         log.release()
         with log.stage("engine start"):
             import maloc.points as engine

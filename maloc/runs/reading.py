@@ -29,11 +29,11 @@ class Reading:
 
         return None if self.tag_table is None else read_tags(self.tag_table)
 
-    def receivers(self, path: Path, crs: str | None) -> Receivers:
+    def receivers(self, path: Path, crs: str | None, sd: float | None = None) -> Receivers:
         """Read the array, with the sync tags that the table of tags puts beside receivers."""
         from maloc.readers import read_receivers
 
-        found, tags = read_receivers(path, crs=crs), self.tags()
+        found, tags = read_receivers(path, crs=crs, position_sd=sd), self.tags()
         return found if tags is None else tags.beside(found)
 
     def detections(self, files: Sequence[Path]) -> Detections:

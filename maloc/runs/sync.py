@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from maloc.export.folder import check_free, output_folder
 from maloc.runs.log import Log
-from maloc.runs.options import speed_of_water
 from maloc.runs.reading import Reading
+from maloc.runs.speed import speed_error, speed_of_water, sync_speed
 
 if TYPE_CHECKING:
     from maloc.data import Detections
@@ -25,6 +25,8 @@ def run_sync(
     reference: str | None = None,
     *,
     sound_speed: str | None = None,
+    sound_speed_sd: str | None = None,
+    receiver_sd: float | None = None,
     anchors: Path | None = None,
     crs: str | None = None,
     seed: int = 0,
@@ -51,7 +53,7 @@ def run_sync(
         reading = reading or Reading()
 
         with log.stage("read"):
-            table = reading.receivers(receivers, crs)
+            table = reading.receivers(receivers, crs, receiver_sd)
             log.report(table.report)
             raw = reading.detections(detections)
             log.report(raw.report)
@@ -59,7 +61,10 @@ def run_sync(
             if known is not None:
                 log.report(known.report)
         with log.stage("sync"):
-            how = {"sound_speed": speed, "reference": reference, "progress": not quiet}
+            how: dict[str, Any] = {"reference": reference, "progress": not quiet}
+            how |= sync_speed(speed, speed_error(sound_speed_sd), table)
+            if table.position_sd is not None:
+                how["free_positions"] = table.position_sd
             sync = fit(raw, table, **how)
             if known is not None:
                 sync = sync.anchored(known.receiver, known.recorded, known.true)
@@ -79,6 +84,8 @@ def run_sync(
                         "receivers": str(receivers),
                         "reference": reference,
                         "sound_speed": sound_speed,
+                        "sound_speed_sd": sound_speed_sd,
+                        "receiver_sd": receiver_sd,
                         "anchors": None if anchors is None else str(anchors),
                         "crs": crs,
                         **{k: v for k, v in vars(reading).items() if v is not None},

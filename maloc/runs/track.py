@@ -19,6 +19,7 @@ from maloc.runs.fit_tag import Fitted, fit_tag
 from maloc.runs.load import Source, load, read_shore
 from maloc.runs.log import Log
 from maloc.runs.options import TrackOptions
+from maloc.runs.sound import with_sound
 from maloc.runs.tags import RECORD, Done, Job, key_of, run_each
 from maloc.runs.write import write_tag, write_track
 
@@ -85,7 +86,7 @@ def run_track(
     out = Path(out).absolute()
     log = Log(quiet)
     with log.listening():
-        source = with_depth(load(options, log), options, log)
+        source = with_sound(with_depth(load(options, log), options, log), options, log)
         water = read_shore(options, source.receivers, log)
         log.release()
         done = _each(options, source, water, out, log, workers, scheduler)
@@ -128,6 +129,7 @@ def _each(
     def job(toa: ArrivalTimes) -> Job:
         about = (toa.tag, toa.origin, toa.schedule, toa.sound_speed_sd, toa.set_aside, toa.column)
         arrays = (toa.toa, toa.sound_speed, toa.receivers.xy, toa.ping, xy, toa.depth, toa.clock_sd)
+        arrays += (toa.receivers.position_sd, *_profile(toa))
         key = key_of(__version__, how, shore, *about, *arrays)
         quiet = log.quiet or len(source.toas) > 1
         return Job(toa.tag, key, tag_files, (toa, options, source.receivers, water, quiet))
@@ -155,6 +157,11 @@ def _each(
         for name, spent in d.record.get("seconds", {}).items():
             log.seconds.add(name, spent["wall"], spent["cpu"])
     return done
+
+
+def _profile(toa: ArrivalTimes) -> tuple:
+    p = toa.profile
+    return () if p is None else (p.depth, p.speed, p.time, p.sd)
 
 
 def _line(fitted: Fitted) -> str:

@@ -22,6 +22,7 @@ def fit(
     receivers: Receivers,
     *,
     sound_speed: Any = "varying",
+    sound_speed_sd: float = 0.0,
     reference: object = None,
     knot_spacing: float = 1800.0,
     free_positions: Any = 1.0,
@@ -46,6 +47,9 @@ def fit(
         "constant": one estimated number; both with a prior of 1500 +- 50 m/s. A table (a data
         frame, or the path of a CSV file) has columns time and sound_speed, or temperature,
         salinity and depth (see `maloc.medium.with_sound_speed`).
+    sound_speed_sd : float
+        Of a number: standard deviation of its error, m/s, and one speed is estimated with that
+        prior; 0 = exact.
     reference : str, optional
         Receiver whose clock becomes the common time. By default one among those that agree best
         (at the half-sample mode of all clocks halfway through the record): clocks that were set
@@ -85,8 +89,9 @@ def fit(
     """
     with progress_bar(progress) as tell:
         p = prepare(
-            detections, receivers, sound_speed=sound_speed, reference=reference,
-            knot_spacing=knot_spacing, free_positions=free_positions, tell=tell,
+            detections, receivers, sound_speed=sound_speed, sound_speed_sd=sound_speed_sd,
+            reference=reference, knot_spacing=knot_spacing, free_positions=free_positions,
+            tell=tell,
         )  # fmt: skip
         try:
             arrivals, fitted, dated = fit_with_jumps(

@@ -199,7 +199,7 @@ def _remarks(sync: ClockSync, fitted: Solution, p: Prepared) -> list[Note]:
     if sync.sound_speed_sd > UNSURE_SPEED:
         text = (
             f"the sync pings hardly tell the sound speed ({sync.sound_speed:.0f} +- "
-            f"{sync.sound_speed_sd:.0f} m/s); sound_speed= gives it"
+            f"{sync.sound_speed_sd:.0f} m/s); --sound-speed (sound_speed= in Python) gives it"
         )
         notes.append(Note("warning", text))
     far = np.hypot(*sync.shift.T) > 3.0

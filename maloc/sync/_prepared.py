@@ -63,6 +63,7 @@ def prepare(
     receivers: Receivers,
     *,
     sound_speed: Any,
+    sound_speed_sd: float = 0.0,
     reference: object,
     knot_spacing: float,
     free_positions: Any,
@@ -90,7 +91,7 @@ def prepare(
             mend=f"choose one of {', '.join(names)}",
         )
     origin = int(detections.time.min()) // NS * NS
-    speed = speed_of(sound_speed, origin, int(detections.time.max()))
+    speed = speed_of(sound_speed, origin, int(detections.time.max()), sound_speed_sd)
     data, notes = collect(detections, receivers, origin)
     xyz = _coordinates(receivers)
     travel = _arrivals.distances(xyz, data.place, data.source) / speed.mean

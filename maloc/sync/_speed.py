@@ -39,14 +39,16 @@ class Speed(NamedTuple):
         return np.interp(time, *self.table.T) / self.mean
 
 
-def speed_of(sound_speed: Any, origin: int, last: int) -> Speed:
-    """Read the argument `sound_speed` of `maloc.sync.fit`.
+def speed_of(sound_speed: Any, origin: int, last: int, sd: float = 0.0) -> Speed:
+    """Read the arguments `sound_speed` and `sound_speed_sd` of `maloc.sync.fit`.
 
     Raises
     ------
     InputError
         If it is none of what that allows, or a table is of another time (ns since 1970).
     """
+    if not (np.isfinite(sd) and sd >= 0):
+        raise InputError(f"sound_speed_sd must be at least 0, got {sd}")
     if sound_speed is None or isinstance(sound_speed, str) and sound_speed == "varying":
         return Speed(DEFAULT, DEFAULT_SD, True)
     if isinstance(sound_speed, str) and sound_speed == "constant":
@@ -55,7 +57,7 @@ def speed_of(sound_speed: Any, origin: int, last: int) -> Speed:
         speed = float(sound_speed)
         if not (np.isfinite(speed) and speed >= 300.0):
             raise InputError(f"sound_speed must be at least 300, got {sound_speed}")
-        return Speed(speed, 0.0, False)
+        return Speed(speed, float(sd), False)
     from maloc.world.medium import speed_table
 
     time, speeds = speed_table(sound_speed)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from maloc._jax import jax
 from maloc.data.water_column import WaterColumn
 from maloc.errors import InputError
+from maloc.world.ray import RayData, mean_slowness
 
 if TYPE_CHECKING:
     from maloc.data.receivers import Receivers
@@ -50,6 +51,8 @@ class DepthData:
         x, y of the grid's first point.
     step : () m
         From one point to the next.
+    ray : RayData, optional
+        Sound speed by depth; None: the same at all depths.
     known : bool
         Every depth is known exactly: there is nothing to be found.
     """
@@ -63,11 +66,16 @@ class DepthData:
     grid: Float[Numbers, "row column"] | None
     origin: Float[Numbers, 2]
     step: Float[Numbers, ""]
+    ray: RayData | None = None
     known: bool = False
 
     def square(self, depth):
         """Squared vertical distances (T, R), m2, from depths (T,) to the receivers."""
         return (depth[:, None] - self.receiver[None]) ** 2
+
+    def slowness(self, depth):
+        """Mean 1 / c from depths (T,) to the receivers over the reference's, (T, R) or 1."""
+        return 1.0 if self.ray is None else mean_slowness(self.ray, depth, self.receiver)
 
 
 jax.tree_util.register_dataclass(
@@ -85,6 +93,7 @@ def depth_data(
     tag: np.ndarray | None = None,
     more: int = 0,
     wider: int = 0,
+    ray: RayData | None = None,
 ) -> DepthData | None:
     """Depths of T states; None where the track is flat.
 
@@ -101,6 +110,8 @@ def depth_data(
         Whose state each one is.
     more, wider : int
         States and receivers to pad with.
+    ray : RayData, optional
+        Sound speed by depth, of all states with the padding.
 
     Raises
     ------
@@ -146,6 +157,7 @@ def depth_data(
         grid=grid,
         origin=origin,
         step=np.asarray(step),
+        ray=ray,
         known=known,
     )
 

@@ -1,69 +1,31 @@
-"""Sound speed in water, from temperature, salinity and depth.
+"""Sound speed in water, from temperature, salinity and depth, in time or by depth.
 
 The speed at each ping goes into `ArrivalTimes.sound_speed`; how sure it is into
-`ArrivalTimes.sound_speed_sd`, and the models then estimate what is left of its error.
+`ArrivalTimes.sound_speed_sd`, and the models then estimate what is left of its error. A profile
+goes into `ArrivalTimes.profile` as well: where the track has depth, each arrival has the mean speed
+between the tag's depth and its receiver's (`maloc.world.ray`).
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from maloc.data._time import NS
+from maloc.data.sound_profile import SoundProfile
 from maloc.errors import InputError
+from maloc.readers.medium import MediumTable, read_medium
+from maloc.world.seawater import CHEN_MILLERO_SD, chen_millero, mackenzie
 
 if TYPE_CHECKING:
     from maloc.data.arrivals import ArrivalTimes
 
-__all__ = ["mackenzie", "with_sound_speed"]
+__all__ = ["chen_millero", "mackenzie", "sound_profile", "with_sound_speed"]
 
-MACKENZIE_SD = 0.07  # m/s, the equation's own standard error
-_RANGES = {"temperature": (-2.0, 35.0), "salinity": (0.0, 45.0), "depth": (0.0, 8000.0)}
-
-
-def mackenzie(temperature: Any, salinity: Any = 35.0, depth: Any = 0.0) -> np.ndarray:
-    """Speed of sound in sea water by nine terms in temperature, salinity and depth.
-
-    Parameters
-    ----------
-    temperature : array
-        deg C, 2 to 30 in the original.
-    salinity : array
-        Practical salinity, 25 to 40 in the original; in fresh water (0) it is within 1 m/s of
-        other equations up to 25 deg C.
-    depth : array
-        m, 0 to 8000.
-
-    Returns
-    -------
-    array
-        m/s, the broadcast shape; NaN where an input is NaN.
-
-    Raises
-    ------
-    InputError
-        If a value is not one of water: temperature -2 to 35, salinity 0 to 45, depth 0 to 8000.
-
-    References
-    ----------
-    Mackenzie (1981) Nine-term equation for sound speed in the oceans. J. Acoust. Soc. Am. 70(3):
-    807-812.
-    """
-    given = {"temperature": temperature, "salinity": salinity, "depth": depth}
-    for name, value in given.items():
-        low, high = _RANGES[name]
-        wrong = np.asarray(value, float)
-        wrong = wrong[(wrong < low) | (wrong > high)]
-        if wrong.size:
-            raise InputError(f"{name} {wrong.flat[0]:g} is not between {low:g} and {high:g}")
-    t, s, d = (np.asarray(v, float) for v in (temperature, salinity, depth))
-    s = s - 35.0
-    return (
-        1448.96 + 4.591 * t - 5.304e-2 * t**2 + 2.374e-4 * t**3 + 1.340 * s
-        + 1.630e-2 * d + 1.675e-7 * d**2 - 1.025e-2 * t * s - 7.139e-13 * t * d**3
-    )  # fmt: skip
+UNSTATED_SD = 1.0  # m/s: loggers' errors, and the water between them, where a table says nothing
+_DAY = 86_400.0  # s
+_STEPS = 100  # of the water column, over which an unknown depth is uniform
 
 
 def with_sound_speed(
@@ -72,24 +34,32 @@ def with_sound_speed(
     *,
     salinity: float | None = None,
     depth: float = 0.0,
-    sd: float = 1.0,
+    sd: float | None = None,
 ) -> ArrivalTimes:
     """Give arrival times the sound speed that a table of the water's state foretells.
+
+    Temperature and salinity become a speed by `chen_millero`.
 
     Parameters
     ----------
     toa : ArrivalTimes
-        With a date (`origin`).
-    table : DataFrame, or path of a CSV file
+        With a date (`origin`), if the table has times.
+    table : DataFrame, path of a CSV file, or SoundProfile
         Columns time (ISO 8601 UTC) and temperature (deg C); salinity and depth (m) where they
         vary. Or time and sound_speed (m/s). Linear in time between rows, constant beyond.
+        A profile has depths and no times, or several depths at one time: see `sound_profile`.
+        Then a ping's speed is the mean from the tag's depth (as sensed, linear in time in between)
+        to the receivers'; from all depths alike where none was sensed. Give the arrival times
+        their depths and `column` before.
     salinity : float, optional
         Where the table has no column of it.
     depth : float
         m, where the table has no column of it.
-    sd : float
-        Standard deviation of an error that all pings share, m/s: of the loggers, and of the
-        water between them.
+    sd : float, optional
+        Standard deviation of an error that all pings share, m/s; 0 = exact. By default the
+        equation's error and what columns temperature_sd, salinity_sd or sound_speed_sd state; 1
+        where they state nothing. A flat track's speed by a profile is less sure by what it differs
+        over the depths that were not known.
 
     Returns
     -------
@@ -101,49 +71,182 @@ def with_sound_speed(
         If the arrival times have no date, a column is missing, a value is not one of water, or
         the table does not reach within a day of the pings.
     """
-    if toa.origin is None:
-        raise InputError("the arrival times have no date: a table of the water cannot be met")
-    time, speed = speed_table(table, salinity, depth)
-    at = toa.first + toa.origin / NS
-    heard = at[np.isfinite(at)]
-    if len(heard) and (heard.max() < time[0] - 86_400 or heard.min() > time[-1] + 86_400):
-        raise InputError("the table of the water is of another time than the pings")
-    return toa.replace(sound_speed=np.interp(at, time, speed), sound_speed_sd=float(sd))
+    read = table if isinstance(table, SoundProfile | MediumTable) else read_medium(table)
+    if isinstance(read, SoundProfile) or read.by_depth:
+        profile = read if isinstance(read, SoundProfile) else _profile(read, salinity, sd)
+        return _by_depth(toa, profile)
+    speed, own = _speeds(read, salinity, depth)
+    assert read.time is not None
+    at = _met(toa, read.time)
+    order = np.argsort(read.time, kind="stable")
+    found = np.interp(at, read.time[order], speed[order])
+    return toa.replace(sound_speed=found, sound_speed_sd=(own if sd is None else float(sd)) or None)
+
+
+def sound_profile(
+    table: Any, *, salinity: float | None = None, sd: float | None = None
+) -> SoundProfile:
+    """Read sound speed by depth from a cast or several.
+
+    Parameters
+    ----------
+    table : DataFrame, or path of a CSV file
+        Columns depth (m) and sound_speed (m/s), or depth, temperature (deg C) and salinity; time
+        (ISO 8601 UTC) where there are several casts, the same in all rows of one.
+    salinity, sd : float, optional
+        As of `with_sound_speed`.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, a value is not one of water, or a cast has a depth twice.
+    """
+    read = table if isinstance(table, MediumTable) else read_medium(table)
+    return _profile(read, salinity, sd)
+
+
+def speed_among(profile: SoundProfile, depth: np.ndarray) -> np.ndarray:
+    """Sound speed between receivers by a profile, the mean over their pairs.
+
+    Parameters
+    ----------
+    profile : SoundProfile
+        Of N casts.
+    depth : (R,) array
+        Receivers' depths, m; the whole water column where none is known.
+
+    Returns
+    -------
+    (N,) array
+        m/s.
+    """
+    from maloc.world.ray import mean_slowness, ray_data
+
+    own = np.asarray(depth, float)[np.isfinite(depth)]
+    at = own if len(own) else _column(profile, own)
+    out = np.empty(len(profile.speed))
+    for i, row in enumerate(profile.speed):
+        ray = ray_data(profile.depth, row[None], np.ones(len(at)))
+        out[i] = 1 / float(np.mean(mean_slowness(ray, at, at)))
+    return out
 
 
 def speed_table(
     table: Any, salinity: float | None = None, depth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times (s since 1970 UTC, ascending) and sound speeds of a table."""
-    import polars as pl
+    """Times (s since 1970 UTC, ascending) and sound speeds of a table; of a profile, casts' means.
 
-    from maloc.data import _arrays
+    A profile without times: one at time 0.
+    """
+    read = read_medium(table)
+    if read.by_depth:
+        profile = _profile(read, salinity, None)
+        time = np.zeros(1) if profile.time is None else profile.time
+        return time, 1 / np.mean(1 / _evenly(profile, profile.speed), axis=1)
+    assert read.time is not None
+    order = np.argsort(read.time, kind="stable")
+    return read.time[order], _speeds(read, salinity, depth)[0][order]
 
-    path = Path(table) if isinstance(table, str | Path) else None
-    if path is not None and not path.is_file():
-        raise InputError("no such file", file=path)
-    rows = pl.read_csv(path) if path is not None else _arrays.frame(table)
-    name = {c.strip().lower(): c for c in rows.columns}
-    for needed in ("time",) if "sound_speed" in name else ("time", "temperature"):
-        if needed not in name:
-            raise InputError(f"no column '{needed}'", file=path, mend="see maloc.medium")
-    when = rows[name["time"]]
-    if when.dtype == pl.String:
-        when = when.str.strip_suffix("Z").str.to_datetime(time_unit="ns", strict=False)
-    if when.dtype.base_type() is not pl.Datetime or when.null_count():
-        row = int(when.is_null().arg_max() or 0) + 2 if when.null_count() else None
-        raise InputError("not an ISO 8601 time in UTC", file=path, row=row, column="time")
-    seconds = when.dt.cast_time_unit("ns").dt.replace_time_zone(None).to_physical().to_numpy() / NS
-    values = {c: rows[o].cast(pl.Float64, strict=False).to_numpy() for c, o in name.items()
-              if c in ("sound_speed", "temperature", "salinity", "depth")}  # fmt: skip
+
+def _speeds(
+    read: MediumTable, salinity: float | None, depth: float = 0.0
+) -> tuple[np.ndarray, float]:
+    """Speeds (N,) of a table's rows, and the sd of their common error, m/s."""
+    values, n = read.values, len(read.table)
+    stated = [values[k] for k in values if k.endswith("_sd")]
     if "sound_speed" in values:
-        speed = values["sound_speed"]
+        own = values.get("sound_speed_sd", np.full(n, UNSTATED_SD))
+        return values["sound_speed"], float(np.sqrt(np.mean(own**2)))
+    salt = values.get("salinity", salinity)
+    if salt is None:
+        raise read.error("no column 'salinity'", mend="add it, 0 for fresh water")
+    own_depth = values.get("depth", np.full(n, depth))
+    water = [values["temperature"], np.broadcast_to(salt, n), own_depth]
+    try:
+        speed = chen_millero(*water)
+    except InputError:
+        for i in range(n):  # which row it is
+            try:
+                chen_millero(*(w[i] for w in water))
+            except InputError as problem:
+                column = problem.problem.split()[0]
+                raise read.error(problem.problem, i, column) from None
+        raise
+    if not stated:
+        return speed, UNSTATED_SD
+    square = np.full(n, CHEN_MILLERO_SD**2)
+    for k, name in enumerate(("temperature", "salinity")):
+        if (own := values.get(f"{name}_sd")) is not None:
+            more = [w + 1e-2 * (j == k) for j, w in enumerate(water)]
+            square += (own * (chen_millero(*more) - speed) / 1e-2) ** 2
+    return speed, float(np.sqrt(square.mean()))
+
+
+def _profile(read: MediumTable, salinity: float | None, sd: float | None) -> SoundProfile:
+    if "depth" not in read.values:
+        raise read.error("no column 'depth': a profile needs it")
+    speed, own = _speeds(read, salinity)
+    own = own if sd is None else float(sd)
+    depth = read.values["depth"]
+    casts = np.zeros(len(depth)) if read.time is None else read.time
+    knots, times = np.unique(depth), np.unique(casts)
+    rows = np.empty((len(times), len(knots)))
+    for j, one in enumerate(times):
+        mine = np.flatnonzero(casts == one)
+        order = mine[np.argsort(depth[mine], kind="stable")]
+        again = np.flatnonzero(np.diff(depth[order]) == 0)
+        if len(again):
+            i = int(order[again[0] + 1])
+            raise read.error(f"depth {depth[i]:g} m is there twice in one cast", i, "depth")
+        rows[j] = np.interp(knots, depth[order], speed[order])
+    return SoundProfile(knots, rows, None if read.time is None else times, own)
+
+
+def _met(toa: ArrivalTimes, time: np.ndarray) -> np.ndarray:
+    """Times of the pings, s since 1970 UTC, if the table's reach them."""
+    if toa.origin is None:
+        raise InputError("the arrival times have no date: a table of the water cannot be met")
+    at = toa.first + toa.origin / NS
+    heard = at[np.isfinite(at)]
+    if len(heard) and (heard.max() < time.min() - _DAY or heard.min() > time.max() + _DAY):
+        raise InputError("the table of the water is of another time than the pings")
+    return at
+
+
+def _by_depth(toa: ArrivalTimes, profile: SoundProfile) -> ArrivalTimes:
+    """A ping's speed by the depths that are known, and the profile to go by the others."""
+    from maloc.world.ray import mean_slowness, ray_data
+
+    at = np.zeros(len(toa)) if profile.time is None else _met(toa, profile.time)
+    rows = profile.at(at)
+    own = np.asarray(toa.receivers.depth)[toa.heard.any(axis=0)]
+    own = own[np.isfinite(own)]
+    column = _column(profile, own)
+    there = own if len(own) else column
+    sensed = np.full(len(toa), np.nan) if toa.depth is None else toa.depth
+    known = np.flatnonzero(np.isfinite(sensed))
+    ones = np.ones(len(toa))
+    if len(known):
+        tag = np.interp(toa.first, toa.first[known], sensed[known])[:, None]
     else:
-        salt = values.get("salinity", salinity)
-        if salt is None:
-            raise InputError("no column 'salinity'", file=path, mend="give salinity=")
-        speed = mackenzie(values["temperature"], salt, values.get("depth", depth))
-    if (bad := np.flatnonzero(~np.isfinite(speed))).size:
-        raise InputError("a value is missing or no number", file=path, row=int(bad[0]) + 2)
-    order = np.argsort(seconds, kind="stable")
-    return seconds[order], np.broadcast_to(speed, seconds.shape)[order]
+        tag = np.broadcast_to(column, (len(toa), len(column)))
+    slow = np.stack(
+        [mean_slowness(ray_data(profile.depth, rows, ones), z, there) for z in tag.T], axis=1
+    ).reshape(len(toa), -1)
+    square = profile.sd**2
+    if toa.column is None:
+        square += float(np.mean(np.var(1 / slow, axis=1)))
+    speed = 1 / slow.mean(axis=1)
+    return toa.replace(sound_speed=speed, sound_speed_sd=np.sqrt(square) or None, profile=profile)
+
+
+def _column(profile: SoundProfile, receivers: np.ndarray) -> np.ndarray:
+    """Depths all over the water, m: down to the deepest receiver, or to the profile's end."""
+    bottom = float(receivers.max()) if len(receivers) else float(profile.depth[-1])
+    return (np.arange(_STEPS) + 0.5) / _STEPS * max(bottom, 0.1)
+
+
+def _evenly(profile: SoundProfile, rows: np.ndarray) -> np.ndarray:
+    """Speeds of casts (N, K) at depths all over the profile, (N, M)."""
+    at = _column(profile, np.zeros(0))
+    return np.stack([np.interp(at, profile.depth, row) for row in rows])

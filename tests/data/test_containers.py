@@ -18,6 +18,7 @@ from maloc.data import (
     Receivers,
     Schedule,
     SetAside,
+    SoundProfile,
     collinear,
     match_tag,
 )
@@ -220,6 +221,34 @@ def test_reports_merge_without_repeats():
     assert len(both.notes) == 2 and len(both.warnings) == 1
     with pytest.raises(ValueError, match="level"):
         Note("bad", "x")
+
+
+def test_errors_of_the_receivers_places():
+    r = Receivers(["a", "b"], [0.0, 100.0], [0.0, 0.0], position_sd=[0.5, 0.0])
+    np.testing.assert_array_equal(r.subset([1]).position_sd, [0.0])
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(r)).position_sd, [0.5, 0.0])
+    assert receivers().position_sd is None and receivers().subset([0]).position_sd is None
+    for wrong, says in (([1.0], "shape"), ([1.0, -1.0], "negative"), ([1.0, np.nan], "not finite")):
+        with pytest.raises(InputError, match=says):
+            Receivers(["a", "b"], [0.0, 100.0], [0.0, 0.0], position_sd=wrong)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"depth": [0.0, 0.0]}, "do not ascend"),
+        ({"speed": [1500.0, -1.0]}, "positive"),
+        ({"speed": [[1500.0, 1480.0]] * 2}, "needs their times"),
+        ({"speed": [[1500.0, 1480.0]] * 2, "time": [5.0, 5.0]}, "times of the casts"),
+        ({"speed": [1500.0]}, "shape"),
+        ({"sd": -1.0}, "negative"),
+    ],
+)
+def test_profiles_that_cannot_be(changes, says):
+    fields = {"depth": [0.0, 10.0], "speed": [1500.0, 1480.0]}
+    assert SoundProfile(**fields) == SoundProfile(**fields) != SoundProfile(**fields, sd=1.0)
+    with pytest.raises(InputError, match=says):
+        SoundProfile(**(fields | changes))
 
 
 def test_importing_the_data_package_loads_neither_jax_nor_polars():

@@ -10,12 +10,17 @@ from scipy.stats import norm
 
 from maloc._jax import jax
 from maloc.data import WaterColumn, arrival_history
+from maloc.data.sound_profile import SoundProfile
 from maloc.errors import InputError
 from maloc.infer._model import chain_model
 from maloc.model_data import to_model_data
 from maloc.models import joint, toa_track
 from maloc.world.depth import depth_of
 from simulations import depth as study
+
+PROFILE = SoundProfile(
+    np.array([0.0, 20.0, 35.0, 80.0]), np.array([[1510.0, 1508.0, 1470.0, 1465.0]])
+)
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +55,7 @@ def test_depth_between_the_bounds():
 @pytest.mark.parametrize("model", [pytest.param("toa", marks=pytest.mark.extended), "joint"])
 def test_chain_against_dense_hessian(simulated, model):
     toa = simulated.toa.replace(column=WaterColumn(80.0, 1.0))
+    toa = toa if model == "toa" else toa.replace(profile=PROFILE)
     how = {"error": "gaussian"} if model == "toa" else {"arrivals": "gaussian"}
     fn, data = (toa_track, toa) if model == "toa" else (joint, arrival_history(toa))
     args = (to_model_data(data, pad=False),)
@@ -102,6 +108,33 @@ def test_density_by_hand(simulated):
 
     added = law + prior + arrivals(slant) - arrivals(level)
     assert found - before == pytest.approx(added, abs=1e-9 * abs(found))
+
+
+def test_arrivals_take_the_mean_slowness_between_the_depths(simulated):
+    """What a profile adds: each range is longer by the harmonic mean's share, by quadrature."""
+    toa = simulated.toa.replace(column=WaterColumn(80.0, 1.5))
+    plain, args = (to_model_data(toa),), (to_model_data(toa.replace(profile=PROFILE)),)
+    how = {"error": "gaussian"}
+    cm, before = chain_model(toa_track, how, args), chain_model(toa_track, how, plain)
+    x, u = point(cm, args)
+    gained = float(jax.jit(cm.log_joint)(x, u, args)) - float(
+        jax.jit(before.log_joint)(x, u, plain)
+    )
+    values, n = {k: np.asarray(v) for k, v in cm.values(x, u).items()}, len(toa)
+    depth = depth_of(values["depth_path"][:n, 0], 80.0)
+    at = (np.arange(20_000) + 0.5) / 20_000
+    down = toa.receivers.depth - depth[:, None]
+    speed = np.interp(depth[:, None, None] + down[..., None] * at, PROFILE.depth, PROFILE.speed[0])
+    slow = toa.sound_speed[:, None] * (1 / speed).mean(axis=-1)
+    off = values["track"][:n, 0, None] - toa.receivers.xy
+    slant = np.sqrt((off**2).sum(-1) + 0.25 + down**2)
+    heard, said = toa.heard, np.asarray(args[0].range)[:n, : toa.heard.shape[1]]
+    sigma, emission = float(values["sigma"]), values["emission"][:n, None]
+    by_slow, by_plain = (
+        norm.logpdf(said, emission + r, sigma)[heard].sum() for r in (slant * slow, slant)
+    )
+    assert gained == pytest.approx(by_slow - by_plain, rel=1e-6)
+    assert abs(gained) > 1.0
 
 
 def test_exact_depths_cost_no_path(simulated):

@@ -254,6 +254,23 @@ def test_receivers_table_refusals(read, text, says):
         read(text, read_receivers)
 
 
+def test_errors_of_the_places(read):
+    text = "receiver,x,y,sd\nA,0,0,0.5\nB,90,2,\nC,1,80,0\n"
+    r = read(text, read_receivers, position_sd=2.0)
+    assert r.position_sd.tolist() == [0.5, 2.0, 0.0]
+    assert "sd" not in " ".join(n.text for n in r.report.notes)
+    assert r.to_frame()["sd"].to_list() == [0.5, 2.0, 0.0]
+    with pytest.raises(InputError, match="line 3, column 'sd'.*missing.*--receiver-sd"):
+        read(text, read_receivers)
+    with pytest.raises(InputError, match="line 3, column 'sd': .*-1 m is negative"):
+        read("receiver,x,y,sd\nA,0,0,0.5\nB,90,2,-1\n", read_receivers)
+    bare = "receiver,x,y,sd\nA,0,0,\nB,90,2,\n"
+    assert read(bare, read_receivers).position_sd is None
+    assert (
+        read("receiver,x,y\nA,0,0\nB,9,2\n", read_receivers, position_sd=1.0).position_sd.sum() == 2
+    )
+
+
 def test_receivers_table_remarks(read):
     r = read("receiver,x,y,colour\nA,1,2,red\nA,1,2,red\nB,90,2,red\nC,1,2,red\n", read_receivers)
     text = str(r.report)

@@ -101,6 +101,18 @@ def test_sound_speed_from_a_table_of_temperatures():
         sync.fit(ARRAY.detections, ARRAY.receivers, sound_speed=late)
 
 
+def test_a_number_is_a_prior_of_its_sd():
+    """It meets what the pings tell by themselves as two measurements of one speed do."""
+    free = sync.fit(ARRAY.detections, ARRAY.receivers, sound_speed="constant")
+    told, sure = free.sound_speed, free.sound_speed_sd
+    asked = told + 3 * sure
+    got = sync.fit(ARRAY.detections, ARRAY.receivers, sound_speed=asked, sound_speed_sd=sure)
+    assert got.sound_speed == pytest.approx(0.5 * (told + asked), abs=0.1 * sure)
+    assert got.sound_speed_sd == pytest.approx(sure / np.sqrt(2), rel=0.1)
+    with pytest.raises(InputError, match="sound_speed_sd must be at least 0"):
+        sync.fit(ARRAY.detections, ARRAY.receivers, sound_speed=1500.0, sound_speed_sd=-1.0)
+
+
 def test_receivers_without_a_tag_and_tags_without_a_receiver():
     import dataclasses
 
