@@ -9,7 +9,7 @@ import numpyro
 import numpyro.distributions as dist
 
 from maloc._jax import jax, jnp
-from maloc.arrival import DDetect, Gaussian, GaussianStudent, Student
+from maloc.arrival import DDetect, Gaussian, GaussianStudent, Multipath, Student
 from maloc.models._parts import home_range
 from maloc.movement import CTCRW, Brownian
 from maloc.world.drift import GaussMarkov, IntervalDrift, interval_step
@@ -31,9 +31,14 @@ UNITS = {"sigma": "m", "sigma_vel": "m/s", "sigma_step": "m/s^.5", "t05": "s"}
 UNITS |= {"interval_sd": "s", "sound_speed": "m/s", "sound_speed_memory": "s"}
 UNITS |= {"home": "m", "home_sd": "m", "home_t05": "s"}
 DIMS = {"position": ("ping", "axis"), "emission_time": ("ping",)}
+UNITS |= dict.fromkeys(("lateness", "receiver_sd", "receiver_offset_sd"), "m")
+UNITS |= {"receiver_moved": "m", "receiver_late": "m"}
+DIMS |= dict.fromkeys(("receiver_shift", "receiver_moved"), ("receiver", "axis"))
+DIMS |= dict.fromkeys(("receiver_offset", "receiver_late"), ("receiver",))
 DIMS |= dict.fromkeys(("home", "home_offset"), ("tag", "axis"))
 _OFF = 0.02  # relative sd of a tag's own interval about the stated one
 _JITTER = 0.2  # ms; how well a tag keeps its beat from one ping to the next
+_FAR = 10.0  # of the first position's spread: a ping's range is known from its arrivals alone
 _INLAND = 3.0  # how far a path strays inland, in widths of the shore
 _EDGE = 0.02  # s; width of the soft edges of a random interval
 
@@ -73,7 +78,7 @@ def in_water(position, water):
 
 def emission(data):
     """Site of c (emission time - first arrival), (T,) m."""
-    ranges = dist.Normal(0.0, data.spread).expand(data.time.shape).to_event(1)
+    ranges = dist.Normal(0.0, _FAR * data.spread).expand(data.time.shape).to_event(1)
     return numpyro.sample("emission", ranges, infer={"is_chain": True})
 
 
@@ -85,39 +90,68 @@ def within_limits(data, time) -> None:
     numpyro.factor("schedule", jnp.where(data.interval_known, inside, 0.0))
 
 
+def receivers(data, option: str):
+    """Sites of what receivers do wrong for good: places (R, 2) m, and lateness () or (1, R) m.
+
+    Standard normal effects, found with the path, times scales that are estimated; the places' is
+    added to what the data say of their errors.
+    """
+    if option != "estimated":
+        return data.receiver_xy, 0.0
+    effect = {"inner": "receiver"}
+    shift = dist.Normal(0.0, 1.0).expand(data.receiver_xy.shape).to_event(2)
+    late = dist.Normal(0.0, 1.0).expand(data.receiver_xy.shape[:1]).to_event(1)
+    told = data.receiver_sd
+    sd = numpyro.sample("receiver_sd", dist.LogNormal(jnp.log(0.5 if told is None else 0.1), 1.0))
+    sd = sd if told is None else jnp.sqrt(sd**2 + told[:, None] ** 2)
+    moved = sd * numpyro.sample("receiver_shift", shift, infer=effect)
+    sd = numpyro.sample("receiver_offset_sd", dist.LogNormal(jnp.log(0.2), 1.0))
+    late = sd * numpyro.sample("receiver_offset", late, infer=effect)
+    numpyro.deterministic("receiver_moved", moved)
+    numpyro.deterministic("receiver_late", late)
+    return data.receiver_xy + moved, late[None]
+
+
 def arrivals(
-    data, position, emission, ratio, error: str, clock_sd=None, down: Any = 0.0, slowness: Any = 1.0
-) -> None:
+    data, position, emission, ratio, error: str, clock_sd=None, down: Any = 0.0,
+    slowness: Any = 1.0, effects: str = "exact",
+) -> None:  # fmt: skip
     """Sites of the arrival error, and the arrivals themselves; ``ratio`` () or (T,) of speeds.
 
     ``down`` (T, R): squared vertical distances, m2; ``slowness`` (T, R): over the reference's.
     """
     sigma = numpyro.sample("sigma", dist.LogNormal(jnp.log(2.0), 1.5))
-    east = position[:, :1] - data.receiver_xy.T[:1]
-    north = position[:, 1:] - data.receiver_xy.T[1:]
+    place, late = receivers(data, effects)
+    east = position[:, :1] - place.T[:1]
+    north = position[:, 1:] - place.T[1:]
     distance = jnp.sqrt(east**2 + north**2 + 0.25 + down)
     ratio = ratio[:, None] if jnp.ndim(ratio) else ratio
-    arrival = (emission[:, None] + distance * slowness) / ratio
+    arrival = (emission[:, None] + distance * slowness) / ratio + late
     if clock_sd is not None:
         sigma = jnp.sqrt(sigma**2 + clock_sd**2)
-    if error == "ddetect":
-        logit_w = dist.TransformedDistribution(
-            dist.Normal(-2.5, 1.2), dist.transforms.SigmoidTransform()
-        )
-        w = numpyro.sample("w", logit_w)
+    if error in ("ddetect", "auto"):
+        w = _share(-2.5, 1.2)
         law = DDetect(arrival, sigma, data.phi, w, background=1e-4)
+    elif error == "multipath":
+        lateness = numpyro.sample("lateness", dist.LogNormal(jnp.log(10.0), 1.0))
+        law = Multipath(arrival, sigma, w=_share(-2.5, 1.2), scale=lateness, phi=data.phi)
     elif error == "mixture":
         scale = numpyro.sample("t_scale", dist.LogNormal(jnp.log(10.0), 3.0))
-        logit_w = dist.TransformedDistribution(
-            dist.Normal(-4.0, 3.0), dist.transforms.SigmoidTransform()
-        )
-        law = GaussianStudent(arrival, sigma, scale, numpyro.sample("w", logit_w))
+        law = GaussianStudent(arrival, sigma, scale, _share(-4.0, 3.0))
     elif error == "gaussian":
         law = Gaussian(arrival, sigma)
     else:
         law = Student(arrival, sigma)
     alone = {"per_state": True}  # a ping's arrivals depend on its own state alone
     numpyro.sample("arrival", law.mask(data.heard), obs=data.range, infer=alone)
+
+
+def _share(logit: float, sd: float):
+    """Site of the share of arrivals that are not direct."""
+    law = dist.Normal(logit, sd)
+    return numpyro.sample(
+        "w", dist.TransformedDistribution(law, dist.transforms.SigmoidTransform())
+    )
 
 
 def speed_ratio(data, option: str):

@@ -21,7 +21,9 @@ __all__ = ["DIMS", "UNITS", "toa_track"]
 UNITS, DIMS = _toa.UNITS | _depth.UNITS, _toa.DIMS | _depth.DIMS
 
 
-def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed="auto"):
+def toa_track(
+    toa, water=None, *, movement="ctcrw", error="auto", sound_speed="auto", receivers="auto"
+):
     """Joint density of track, emission times and parameters given arrival times.
 
     Parameters
@@ -34,8 +36,11 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
     movement : {"ctcrw", "rw", "ou"}
         Continuous-time correlated random walk, Brownian motion, or Ornstein-Uhlenbeck motion around
         a home: sites ``home`` (m), ``home_sd`` (m), ``home_t05`` (s).
-    error : {"ddetect", "gaussian", "student"}
-        Arrival error.
+    error : {"auto", "ddetect", "multipath", "gaussian", "student"}
+        Arrival error. Auto: ddetect; `maloc.infer.laplace` takes multipath where it is likelier.
+    receivers : {"auto", "exact", "estimated"}
+        Estimated: receivers may stand elsewhere (``receiver_moved``, m) and be late for good
+        (``receiver_late``, m). Auto: `maloc.infer.laplace` decides by the arrivals; else exact.
     sound_speed : {"auto", "given", "estimated"}
         Estimated: one factor on the given speed, its prior sd what the data say of it, else 1 %.
         Auto: estimated where the data say that the speed is not sure.
@@ -55,7 +60,8 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
     """
     _toa.refuse_unknown(
         movement=(movement, ("ctcrw", "rw", "ou")),
-        error=(error, ("ddetect", "gaussian", "student")),
+        error=(error, ("auto", "ddetect", "multipath", "gaussian", "student")),
+        receivers=(receivers, ("auto", "exact", "estimated")),
         sound_speed=(sound_speed, ("auto", "given", "estimated")),
     )
     data = as_toa_data(toa)
@@ -75,4 +81,5 @@ def toa_track(toa, water=None, *, movement="ctcrw", error="ddetect", sound_speed
         _toa.within_limits(data, time)
     numpyro.deterministic("position", position)
     numpyro.deterministic("emission_time", time)
-    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd, down, slowness)
+    how = {"slowness": slowness, "effects": receivers}
+    _toa.arrivals(data, position, emission, ratio, error, data.clock_sd, down, **how)

@@ -12,7 +12,16 @@ from maloc.arrival.laws import (
     Gaussian,
     GaussianStudent,
     GeneralizedNormal,
+    Multipath,
     Student,
 )
 
-__all__ = ["ArrivalError", "DDetect", "Gaussian", "GaussianStudent", "GeneralizedNormal", "Student"]
+__all__ = [
+    "ArrivalError",
+    "DDetect",
+    "Gaussian",
+    "GaussianStudent",
+    "GeneralizedNormal",
+    "Multipath",
+    "Student",
+]

@@ -26,6 +26,7 @@ from maloc.arrival.ddetect import DDetect
 from maloc.arrival.error import ArrivalError
 from maloc.arrival.gaussian_student import GaussianStudent
 from maloc.arrival.gennorm import GeneralizedNormal, quantile
+from maloc.arrival.multipath import Multipath
 
 __all__ = [
     "ArrivalError",
@@ -33,6 +34,7 @@ __all__ = [
     "Gaussian",
     "GaussianStudent",
     "GeneralizedNormal",
+    "Multipath",
     "Student",
 ]
 

@@ -54,8 +54,13 @@ def track(
         typer.Option(help="Correlated or plain random walk, or around a home range (ou)."),
     ] = "ctcrw",
     error: Annotated[
-        Literal["ddetect", "gaussian", "student"], typer.Option(help="Law of arrival errors.")
-    ] = "ddetect",
+        Literal["auto", "ddetect", "multipath", "gaussian", "student"],
+        typer.Option(help="Law of arrival errors; auto: ddetect or multipath, by evidence."),
+    ] = "auto",
+    receiver_errors: Annotated[
+        Literal["auto", "estimated", "exact"],
+        typer.Option(help="Receivers' places and lateness (--model toa); auto: if arrivals tell."),
+    ] = "auto",
     detection: Annotated[
         Literal["halfnormal", "logistic", "hazard"],
         typer.Option(help="Detection by distance (not --model toa)."),
@@ -161,6 +166,7 @@ def track(
         dispersion=dispersion,
         receiver_effects=receiver_effects,
         error=error,
+        receiver_errors=receiver_errors,
         interval=interval,
         interval_stable=interval_stable,
         schedule_file=schedule,

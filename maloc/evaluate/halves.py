@@ -177,8 +177,8 @@ def check_halves(toa: ArrivalTimes, first: np.ndarray, least: int) -> None:
 
 def compare_halves(
     ping: np.ndarray,
-    a: tuple[np.ndarray, np.ndarray],
-    b: tuple[np.ndarray, np.ndarray],
+    one: tuple[np.ndarray, np.ndarray],
+    other: tuple[np.ndarray, np.ndarray],
     heard: tuple[np.ndarray, np.ndarray],
 ) -> tuple[pl.DataFrame, dict[str, float]]:
     """Compare two tracks, row by row: a `Halves`' rows and scores.
@@ -186,18 +186,18 @@ def compare_halves(
     Parameters
     ----------
     ping : (n,) array of int
-    a, b : pair of (n, 2) array
+    one, other : pair of (n, 2) array
         Position and standard deviations by axis, m.
     heard : pair of (n,) array of int
         Receivers that heard each ping.
     """
     import polars as pl
 
-    off = a[0] - b[0]
-    sd = np.hypot(a[1], b[1])
+    off = one[0] - other[0]
+    sd = np.hypot(one[1], other[1])
     z = off / sd
     columns: dict[str, np.ndarray] = {"ping": ping, "n_a": heard[0], "n_b": heard[1]}
-    for half, (place, own) in (("a", a), ("b", b)):
+    for half, (place, own) in (("a", one), ("b", other)):
         columns |= {f"x_{half}": place[:, 0], f"y_{half}": place[:, 1]}
         columns |= {f"sd_x_{half}": own[:, 0], f"sd_y_{half}": own[:, 1]}
     columns |= {"dx": off[:, 0], "dy": off[:, 1], "z_x": z[:, 0], "z_y": z[:, 1]}

@@ -106,10 +106,11 @@ def parameter_rows(fit: Fitted) -> list[dict[str, Any]]:
     for name in fit.parameter_names:
         value = draws[name]
         flat = value.reshape(*value.shape[:2], -1)
+        marks = _marks(fit, name, value.shape[2:])
         for i in range(flat.shape[2]):
             v = flat[:, :, i]
             low, high = np.quantile(v, [0.025, 0.975])
-            label = name if flat.shape[2] == 1 else f"{name}[{i}]"
+            label = name if flat.shape[2] == 1 else f"{name}[{marks[i]}]"
             row: dict[str, Any] = {"name": label, "mean": v.mean(), "sd": v.std(ddof=1)}
             row |= {"q2.5": low, "q97.5": high, "ess_bulk": None, "ess_tail": None, "r_hat": None}
             if sampled:
@@ -119,6 +120,18 @@ def parameter_rows(fit: Fitted) -> list[dict[str, Any]]:
             row["unit"] = units.get(name, "")
             rows.append(row)
     return rows
+
+
+def _marks(fit: Fitted, name: str, shape: tuple[int, ...]) -> list[str]:
+    """What tells a site's entries apart: receivers' names and axes where known, else numbers."""
+    history = getattr(fit.source, "encounters", fit.source)
+    labels = getattr(getattr(history, "receivers", None), "labels", None)
+    dims = fit.dims(name)
+    if labels is None or dims[:1] != ("receiver",) or shape[0] != len(labels):
+        return [str(i) for i in range(int(np.prod(shape)))]
+    if len(shape) == 1:
+        return list(labels)
+    return [f"{label}, {axis}" for label in labels for axis in "xy"[: shape[1]]]
 
 
 def parameter_text(rows: Sequence[dict[str, Any]]) -> str:

@@ -154,8 +154,10 @@ class Fitted:
 
     @property
     def parameter_names(self) -> list[str]:
-        """Sites of `draws` that do not run along time."""
-        return [k for k in self.draws() if _dims.along(self.cm) not in self.dims(k)]
+        """Sites of `draws` that do not run along time; receivers' effects in metres alone."""
+        raw = {site.name for site in self.cm.globals if site.inner}
+        names = [k for k in self.draws() if _dims.along(self.cm) not in self.dims(k)]
+        return [name for name in names if name not in raw]
 
     def _arrivals(self) -> tuple[dict, dict, dict]:
         """Of the observed sites log likelihoods (chain, draw, values), means of the rest, sums.

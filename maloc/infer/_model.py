@@ -19,6 +19,7 @@ from numpyro import handlers
 
 from maloc._jax import jax, jnp
 from maloc.errors import FitError
+from maloc.infer._border import border
 from maloc.infer._sites import (
     LEAST,
     Structure,
@@ -67,6 +68,10 @@ class ChainModel:
             )
         self.d = sum(int(np.prod(s.tail)) for s in self.chain)
         self.k = sum(int(np.prod(s.shape)) for s in self.globals)
+        inner = np.zeros(self.k, bool)
+        for s in self.globals:
+            inner[s.place] = s.inner
+        self.inner, self.outer = np.flatnonzero(inner), np.flatnonzero(~inner)
         observed = [_unwrap(s["fn"])[0] for s in trace.values() if s["type"] == "sample"]
         self.has_local = any(getattr(fn, "local", False) for fn in observed)
         self.has_stand_in = any(hasattr(fn, "local_log_prob") for fn in observed)
@@ -74,6 +79,8 @@ class ChainModel:
         self.terms = jax.jit(self._robust_terms)
         self.exact = jax.jit(self._exact_terms)
         self.gradient = jax.jit(jax.grad(self._value))
+        self.gradients = jax.jit(jax.grad(self._value, (0, 1)))
+        self.border = jax.jit(functools.partial(border, self))
         self.natural = jax.jit(self._natural)
         self.values = jax.jit(lambda x, u: self.sites(x, u)[0])
         self.pointwise = jax.jit(self._pointwise)
@@ -280,16 +287,20 @@ class ChainModel:
         here = self._trace(self.sites(x, u)[0], args) if self.has_stand_in else None
         return -self._joint(moving, u, args, temper, here, own)
 
-    def cross(self, x, u, args):
-        """Mixed derivative d2 / du dx (k, T, d) of the negative log joint, by differences."""
-        step = 1e-4
-        out = np.empty((self.k, *np.shape(x)))
-        for i in range(self.k):
+    def cross(self, x, u, args) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the joint's gradient in path and parameters by the outer parameters.
+
+        By differences; of the negative log joint, (m, T, d) and (m, k).
+        """
+        step, m = 1e-4, len(self.outer)
+        path, own = np.empty((m, *np.shape(x))), np.empty((m, self.k))
+        for row, i in enumerate(self.outer):
             off = np.zeros(self.k)
             off[i] = step
-            ahead, behind = (self.gradient(x, u + s * off, args, 0.0) for s in (1, -1))
-            out[i] = (np.asarray(ahead) - np.asarray(behind)) / (2 * step)
-        return out
+            ahead, behind = (self.gradients(x, u + s * off, args, 0.0) for s in (1, -1))
+            path[row] = (np.asarray(ahead[0]) - np.asarray(behind[0])) / (2 * step)
+            own[row] = (np.asarray(ahead[1]) - np.asarray(behind[1])) / (2 * step)
+        return path, own
 
     # -- what the user sees -----------------------------------------------------------------------
 

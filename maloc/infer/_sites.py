@@ -26,12 +26,17 @@ class ChainSite(NamedTuple):
 
 
 class GlobalSite(NamedTuple):
-    """A parameter site: name, unconstrained shape, transform, place in the flat vector."""
+    """A parameter site: name, unconstrained shape, transform, place in the flat vector.
+
+    ``inner``: standard normal effects (R, ...) of the receivers on the arrivals they heard, found
+    and integrated out with the path (``infer={"inner": "receiver"}``).
+    """
 
     name: str
     shape: tuple[int, ...]
     transform: Any
     place: slice
+    inner: bool = False
 
 
 class Layout(NamedTuple):
@@ -75,7 +80,8 @@ def laid_out(trace: dict, path: tuple | None) -> Layout:
         else:
             flat = transform.inverse_shape(shape)
             columns = slice(place, place + int(np.prod(flat)))
-            parameters.append(GlobalSite(name, flat, transform, columns))
+            inner = site["infer"].get("inner") == "receiver"
+            parameters.append(GlobalSite(name, flat, transform, columns, inner))
             place = columns.stop
     return Layout(tuple(chain), tuple(parameters), frozenset(lengths))
 

@@ -79,6 +79,7 @@ class Windows:
 
     def __init__(self, cm: ChainModel, args: tuple, size: int = SIZE) -> None:
         self.cm, self.d, self.k = cm, cm.d, cm.k
+        self.inner, self.outer = cm.inner, cm.outer
         length = len(args[0].valid)
         starts = range(0, length - 1, size - 1)
         spans = [(s, s + size, 1.0) for s in starts] + [(s, s + 1, -1.0) for s in starts[1:]]
@@ -92,12 +93,34 @@ class Windows:
         """Value, gradient (T, d) and exact band (2 d, T d)."""
         return self._sum(self.cm.exact, x, u, temper)
 
-    def cross(self, x, u, args: Any) -> np.ndarray:
-        """Mixed derivative d2 / du dx (k, T, d)."""
-        out = np.zeros((self.k, *x.shape))
-        for place, sign, own in self._parts:
-            out[:, place] += sign * self.cm.cross(x[place], u, own)
-        return out
+    def cross(self, x, u, args: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the gradients by the outer parameters, (n, T, d) and (n, k)."""
+        n = len(self.outer)
+        path, own = np.zeros((n, *x.shape)), np.zeros((n, self.k))
+        for place, sign, part in self._parts:
+            found = self.cm.cross(x[place], u, part)
+            path[:, place] += sign * found[0]
+            own += sign * found[1]
+        return path, own
+
+    def gradients(self, x, u, args: Any, temper: float):
+        """Gradients in path (T, d) and parameters (k,)."""
+        path, own = np.zeros(x.shape), np.zeros(self.k)
+        for place, sign, part in self._parts:
+            found = self.cm.gradients(x[place], u, part, temper)
+            path[place] += sign * np.asarray(found[0])
+            own += sign * np.asarray(found[1])
+        return path, own
+
+    def border(self, x, u, args: Any):
+        """As `maloc.infer._border.border`."""
+        m = len(self.inner)
+        mixed, block = np.zeros((m, *x.shape)), np.zeros((m, m))
+        for place, sign, part in self._parts:
+            found = self.cm.border(x[place], u, part)
+            mixed[:, place] += sign * np.asarray(found[0])
+            block += sign * np.asarray(found[1])
+        return mixed, block
 
     def _sum(self, function, x, u, *how):
         value, gradient = 0.0, np.zeros(x.shape)

@@ -25,12 +25,12 @@ from maloc.infer._slant import put_depth
 from maloc.infer._stretches import straighten
 from maloc.infer._windows import SIZE, Windows, cut, padded, settled
 from maloc.infer.initial import _column, _middle, _nearest, put_positions, repair
-from maloc.infer.marginal import MarginalFit, _Marginal
-from maloc.infer.mode import _factor, anneal, find_mode
+from maloc.infer.marginal import MarginalFit, _Marginal, whole
+from maloc.infer.mode import anneal
 from maloc.infer.result import LaplaceFit
 from maloc.model_data.toa import ToaData
 
-__all__ = ["LONG", "LongFit", "fit_long", "long_arguments"]
+__all__ = ["LONG", "LongFit", "fit_long", "long_arguments", "long_effects"]
 
 LONG = 4  # windows; tracks with more heard pings are fitted by them
 _BLOCKS = 8  # windows that the parameters start from
@@ -173,34 +173,45 @@ def _newton(cm: ChainModel, args: tuple, x, start: _Start, size: int) -> Margina
     second differences.
     """
     windows: Any = Windows(cm, args, size)
-    spread, n = np.sqrt(np.diag(start.precision)), int(args[0].valid.sum())
-    shape = start.precision / np.outer(spread, spread)
+    outer, n = cm.outer, int(args[0].valid.sum())
+    alone = start.precision[np.ix_(outer, outer)]
+    if len(cm.inner):  # what the outer parameters' precision is with the inner ones left free
+        alone = np.linalg.inv(np.linalg.inv(start.precision)[np.ix_(outer, outer)])
+    spread = np.sqrt(np.diag(alone))
+    shape = alone / np.outer(spread, spread)
     x = settled(cm, args, x, start.u, size)
-    marginal = _Marginal(windows, (), x, np.sqrt(start.states / n) / spread)
-    u, gain, evaluations = start.u, np.inf, 0
+    marginal = _Marginal(windows, (), x, start.u, np.sqrt(start.states / n) / spread)
+    own, gain, evaluations = start.u[outer], np.inf, 0
     while gain > _SURE and evaluations < 4:
-        point = marginal(u)
+        point = marginal(own)
         evaluations += 1
         root = np.sqrt(np.maximum(point.curvature, (0.1 * spread) ** 2))
         covariance = np.linalg.inv(shape * np.outer(root, root))
         step = -covariance @ point.gradient
         gain = -0.5 * float(step @ point.gradient)
-        u = u + step
+        own, u = own + step, point.u + step @ point.moved
         ahead = point.mode.x + np.einsum("k,ktd->td", step, point.slope)
         ahead = settled(cm, args, ahead, u, size)
-        marginal.best = point._replace(mode=point.mode._replace(x=ahead))
-    mode = find_mode(windows, (), ahead, u, max_steps=25, tol=1e-5)
-    factor = _factor(windows.terms(mode.x, u, (), 0.0, False)[2], windows.d)
-    return MarginalFit(
-        x=mode.x,
-        u=u,
-        value=mode.value + 0.5 * factor.log_det,
-        factor=factor,
-        slope=point.slope,
-        covariance=covariance,
-        evaluations=evaluations,
-        converged=bool(gain < _SURE and mode.converged),
-    )
+        marginal.best = point._replace(mode=point.mode._replace(x=ahead), u=u)
+    mode, u = marginal.settle(ahead, u)
+    arrow = marginal.arrow(mode.x, u)
+    value = mode.value + 0.5 * arrow.log_det
+    last = point._replace(mode=mode, u=u, value=value, arrow=arrow)
+    return whole(marginal, last, covariance, bool(gain < _SURE and mode.converged))
+
+
+def long_effects(
+    plain: ChainModel, fit: MarginalFit, cm: ChainModel, args: tuple, u: np.ndarray
+) -> MarginalFit:
+    """Fit of a long track with receivers' errors, from the fit without them."""
+    args = (jax.tree.map(np.asarray, args[0]), *args[1:])
+    known = {s.name: s.place for s in plain.globals}
+    precision, own = np.eye(cm.k), np.linalg.inv(fit.covariance)
+    ours = np.concatenate([np.r_[s.place] for s in cm.globals if s.name in known])
+    theirs = np.concatenate([np.r_[known[s.name]] for s in cm.globals if s.name in known])
+    precision[np.ix_(ours, ours)] = own[np.ix_(theirs, theirs)]
+    states = int(args[0].valid.sum())
+    return _newton(cm, args, fit.x, _Start(u, precision, states), SIZE)
 
 
 def _piece(args: tuple, start: int, stop: int) -> tuple:

@@ -120,12 +120,12 @@ def _path(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _at(cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    x = find_mode(cm, args, x, u, max_steps=15, tol=1e-4).x
+    x = find_mode(cm, args, x, u, max_steps=15, tol=1e-11).x  # slopes are set against flat priors
     factor = _factor(cm.terms(x, u, args, 0.0, False)[2], cm.d)
     density, slope, own = (np.asarray(v) for v in _compiled(cm)(x, u, args))
     precision = np.linalg.inv(factor.covariances())
     values, vectors = np.linalg.eigh(precision - own)
-    values = np.maximum(values, 1e-9 * np.abs(values).max(axis=1, keepdims=True))
+    values = np.maximum(values, 1e-13 * np.abs(values).max(axis=1, keepdims=True))
     away = np.einsum("tij,ti->tj", vectors, slope) ** 2 / values
     wider = np.log(values).sum(axis=1) - np.linalg.slogdet(precision)[1]
     return density + 0.5 * (wider - away.sum(axis=1))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
+from maloc.infer._arrow import Arrow
 from maloc.infer._chain import ChainFactor
 from maloc.infer._model import ChainModel
 from maloc.infer.mode import Mode, _factor, find_mode
@@ -19,6 +20,9 @@ from maloc.infer.mode import Mode, _factor, find_mode
 __all__ = ["MarginalFit", "maximise_marginal"]
 
 
+_SETTLE = 12  # steps of the inner parameters at most
+_SETTLED = 1e-3  # log units
+_NEAR = 1.0  # scales; a curvature serves for gradients as far as this
 _STEEP = 100.0  # log units a squared standard deviation, where the path's mode is lost
 
 
@@ -41,33 +45,79 @@ class MarginalFit(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """The marginal at one parameter value: path mode, value, gradient, curvature, slope, factor."""
+    """The marginal at one value of the outer parameters.
+
+    ``u`` all parameters, the inner at their mode; ``gradient``, ``curvature`` (n,) in the outer;
+    ``slope`` (n, T, d), ``moved`` (n, k): how path and parameters follow the outer; ``arrow``: the
+    precision of path and inner parameters.
+    """
 
     mode: Mode
+    u: np.ndarray
     value: float
     gradient: np.ndarray
     curvature: np.ndarray
     slope: np.ndarray
-    factor: ChainFactor
+    moved: np.ndarray
+    arrow: Arrow
 
 
 class _Marginal:
-    """Negative log Laplace marginal; remembers the best point for warm starts."""
+    """Negative log Laplace marginal in the outer parameters; remembers the best point."""
 
-    def __init__(self, cm: ChainModel, args: tuple, x: np.ndarray, scale: np.ndarray) -> None:
+    def __init__(self, cm: ChainModel, args: tuple, x, u, scale: np.ndarray) -> None:
         self.cm, self.args, self.scale = cm, args, scale
+        self.outer, self.inner = cm.outer, cm.inner
         self.best: _Point | None = None
-        self.best_u: np.ndarray | None = None
-        self.start = x
+        self.start = np.asarray(x), np.array(u)
+        self.known: tuple | None = None  # where a curvature was worked out, and it
         self.evaluations = 0
 
-    def profile(self, x, u, slope, offsets):
-        """Negative log marginal, to the second order in the path, at u + offsets (m, k)."""
-        xs = x + np.einsum("mk,ktd->mtd", offsets, slope)
+    def arrow(self, x, u, factor: ChainFactor | None = None) -> Arrow:
+        """Gauss-Newton precision of path and inner parameters."""
+        cm = self.cm
+        if factor is None:
+            factor = _factor(cm.terms(x, u, self.args, 0.0, False)[2], cm.d)
+        if not len(self.inner):
+            return Arrow(factor, np.zeros((0, *np.shape(x))), np.zeros((0, 0)))
+        mixed, block = (np.asarray(a) for a in cm.border(x, u, self.args))
+        return Arrow(factor, mixed, block + np.eye(len(block)))
+
+    def settle(self, x, u) -> tuple[Mode, np.ndarray]:
+        """Mode of the path, and parameters of which the inner ones are at theirs."""
+        cm, u = self.cm, np.array(u)
+        tol = 1e-3 if len(self.inner) else 1e-5
+        mode = find_mode(cm, self.args, x, u, max_steps=25, tol=tol)
+        for _ in range(_SETTLE if len(self.inner) else 0):
+            slope = np.asarray(cm.gradients(mode.x, u, self.args, 0.0)[1])[self.inner]
+            arrow = self.arrow(mode.x, u)
+            step = -arrow.covariance @ slope
+            if -0.5 * float(step @ slope) < _SETTLED:
+                break
+            size = 1.0
+            while size > 0.05:
+                trial = u.copy()
+                trial[self.inner] += size * step
+                path = mode.x + size * np.einsum("m,mtd->td", step, arrow.follow)
+                new = find_mode(cm, self.args, path, trial, max_steps=25, tol=tol)
+                if new.value < mode.value:
+                    break
+                size *= 0.4
+            else:
+                break
+            mode, u = new, trial
+        if len(self.inner):
+            mode = find_mode(cm, self.args, mode.x, u, max_steps=25, tol=1e-5)
+        return mode, u
+
+    def profile(self, point_x, u, slope, moved, offsets):
+        """Negative log marginal, to the second order in the path, at outer offsets (m, n)."""
+        xs = point_x + np.einsum("mn,ntd->mtd", offsets, slope)
         out = []
-        for x, v in zip(xs, u + offsets, strict=True):
+        for x, v in zip(xs, u + offsets @ moved, strict=True):
             value, _, band = self.cm.terms(x, v, self.args, 0.0, False)
-            out.append(float(value) + 0.5 * _factor(band, self.cm.d).log_det)
+            factor = _factor(band, self.cm.d)
+            out.append(float(value) + 0.5 * self.arrow(x, v, factor).log_det)
         return np.asarray(out)
 
     def _curvature_at(self, mode: Mode, u, clipped: ChainFactor) -> ChainFactor:
@@ -79,36 +129,48 @@ class _Marginal:
         except np.linalg.LinAlgError:
             return clipped
 
-    def __call__(self, u: np.ndarray) -> _Point:
-        cm, k = self.cm, self.cm.k
+    def __call__(self, outer: np.ndarray) -> _Point:
+        cm, n = self.cm, len(self.outer)
         self.evaluations += 1
-        x = self.start
+        x, u = self.start
         if self.best is not None:
-            x = self.best.mode.x
-        mode = find_mode(cm, self.args, x, u, max_steps=25, tol=1e-5)
-        band = cm.terms(mode.x, u, self.args, 0.0, False)[2]
-        factor = _factor(band, cm.d)
-        mixed = np.asarray(cm.cross(mode.x, u, self.args))
-        slope = -self._curvature_at(mode, u, factor).solve(mixed)
-        value = mode.value + 0.5 * factor.log_det
-        offsets = np.concatenate([np.diag(self.scale), -np.diag(self.scale)]) * 0.05
-        ends = self.profile(mode.x, u, slope, offsets)
+            x, u = self.best.mode.x, self.best.u
+        u = np.array(u)
+        u[self.outer] = outer
+        mode, u = self.settle(x, u)
+        arrow = self.arrow(mode.x, u)
+        mixed, own = cm.cross(mode.x, u, self.args)
+        exact = self._curvature_at(mode, u, arrow.factor)
+        if exact is not arrow.factor and not len(self.inner):
+            slope, inner = -exact.solve(mixed), np.zeros((n, 0))
+        else:
+            slope, inner = (-a for a in arrow.solve(mixed, own[:, self.inner]))
+        moved = np.zeros((n, cm.k))
+        moved[np.arange(n), self.outer], moved[:, self.inner] = 1.0, inner
+        value = mode.value + 0.5 * arrow.log_det
         step = 0.05 * self.scale
-        gradient = (ends[:k] - ends[k:]) / (2 * step)
-        curvature = (ends[:k] + ends[k:] - 2 * value) / step**2
-        point = _Point(mode, value, gradient, curvature, slope, factor)
+        offsets = np.diag(step)
+        ahead = self.profile(mode.x, u, slope, moved, offsets) - value
+        if self.known is None or np.abs((outer - self.known[0]) / self.scale).max() > _NEAR:
+            behind = self.profile(mode.x, u, slope, moved, -offsets) - value
+            curvature = (ahead + behind) / step**2
+            self.known = np.array(outer), curvature
+        curvature = self.known[1]
+        gradient = ahead / step - 0.5 * step * curvature
+        point = _Point(mode, u, value, gradient, curvature, slope, moved, arrow)
         if self.best is None or value < self.best.value:
-            self.best, self.best_u = point, u.copy()
+            self.best = point
         return point
 
 
-def _covariance(marginal: _Marginal, point: _Point, u: np.ndarray, scale: np.ndarray):
-    """Covariance of the parameters from second differences of the profile, (k, k)."""
-    k = len(u)
+def _covariance(marginal: _Marginal, point: _Point, scale: np.ndarray):
+    """Covariance of the outer parameters from second differences of the profile, (n, n)."""
+    k = len(scale)
     pairs = [(i, j) for i in range(k) for j in range(i)]
     eye = np.diag(0.5 * scale)
     ahead = np.array([*eye, *(eye[i] + eye[j] for i, j in pairs)])
-    values = marginal.profile(point.mode.x, u, point.slope, np.concatenate([ahead, -ahead]))
+    offsets = np.concatenate([ahead, -ahead])
+    values = marginal.profile(point.mode.x, point.u, point.slope, point.moved, offsets)
     second = values[: len(ahead)] + values[len(ahead) :] - 2 * point.value
     hessian = np.diag(second[:k] / (0.5 * scale) ** 2)
     for (i, j), both in zip(pairs, second[k:], strict=True):
@@ -120,8 +182,34 @@ def _covariance(marginal: _Marginal, point: _Point, u: np.ndarray, scale: np.nda
     return (vectors / eigen) @ vectors.T * np.outer(scale, scale)
 
 
+def whole(marginal: _Marginal, point: _Point, covariance: np.ndarray, converged: bool):
+    """The fit at a point, given the covariance (n, n) of the outer parameters."""
+    arrow, m, effects = point.arrow, point.moved, marginal.inner
+    inner = m[:, effects]
+    both = m.T @ covariance @ m
+    both[np.ix_(effects, effects)] += arrow.covariance
+    slope = np.zeros((marginal.cm.k, *point.mode.x.shape))
+    slope[effects] = arrow.follow
+    slope[marginal.outer] = point.slope - np.einsum("nm,mtd->ntd", inner, arrow.follow)
+    return MarginalFit(
+        x=point.mode.x,
+        u=point.u,
+        value=point.value,
+        factor=arrow.factor,
+        slope=slope,
+        covariance=both,
+        evaluations=marginal.evaluations,
+        converged=converged,
+    )
+
+
 def maximise_marginal(
-    cm: ChainModel, args: tuple, x: np.ndarray, u: np.ndarray, *, max_iterations: int = 40
+    cm: ChainModel,
+    args: tuple,
+    x: np.ndarray,
+    u: np.ndarray,
+    *,
+    max_iterations: int = 40,
 ) -> MarginalFit:
     """Maximise the Laplace marginal posterior of the parameters by L-BFGS on scaled variables.
 
@@ -140,44 +228,33 @@ def maximise_marginal(
     -------
     MarginalFit
     """
-    if cm.k == 0:
-        mode = find_mode(cm, args, x, u, max_steps=50)
-        factor = _factor(cm.terms(mode.x, u, args, 0.0, False)[2], cm.d)
-        value, slope = mode.value + 0.5 * factor.log_det, np.zeros((0, *mode.x.shape))
-        return MarginalFit(mode.x, u, value, factor, slope, np.zeros((0, 0)), 1, mode.converged)
-    scale = np.full(cm.k, 0.1)
-    marginal = _Marginal(cm, args, x, scale)
-    start = marginal(u)
+    n = len(cm.outer)
+    marginal = _Marginal(cm, args, x, u, np.full(n, 0.1))
+    start = marginal(u[marginal.outer])
+    if not n:
+        return whole(marginal, start, np.zeros((0, 0)), start.mode.converged)
     scale = np.clip(1 / np.sqrt(np.maximum(start.curvature, 1e-6)), 1e-4, 0.5)
-    marginal.scale = scale
+    marginal.scale, marginal.known = scale, None
 
     def function(y):
         try:
             point = marginal(y * scale)
         except np.linalg.LinAlgError:  # a trial step into parameters that no path survives
-            assert marginal.best is not None and marginal.best_u is not None
-            back = y - marginal.best_u / scale
+            assert marginal.best is not None
+            back = y - marginal.best.u[marginal.outer] / scale
             return marginal.best.value + _STEEP * float(back @ back), 2 * _STEEP * back
         return point.value, point.gradient * scale
 
-    bounds = [((v - 8) / s, (v + 8) / s) for v, s in zip(u, scale, strict=True)]
+    first = start.u[marginal.outer]
+    bounds = [((v - 8) / s, (v + 8) / s) for v, s in zip(first, scale, strict=True)]
     options = {"maxiter": max_iterations, "ftol": 1e-7, "gtol": 0.05}
     found = minimize(
-        function, u / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        function, first / scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options
     )
-    point, best_u = marginal.best, marginal.best_u
-    assert point is not None and best_u is not None
-    curvature = np.maximum(point.curvature, 1e-6)
-    scale = np.clip(1 / np.sqrt(curvature), 1e-4, 1.0)
-    covariance = _covariance(marginal, point, best_u, scale)
+    point = marginal.best
+    assert point is not None
+    scale = np.clip(1 / np.sqrt(np.maximum(point.curvature, 1e-6)), 1e-4, 1.0)
+    covariance = _covariance(marginal, point, scale)
     small = float(np.max(np.abs(point.gradient) * np.sqrt(np.diag(covariance)))) < 0.5
-    return MarginalFit(
-        x=point.mode.x,
-        u=best_u,
-        value=point.value,
-        factor=point.factor,
-        slope=point.slope,
-        covariance=covariance,
-        evaluations=marginal.evaluations,
-        converged=bool(small and point.mode.converged) or bool(found.success),
-    )
+    good = bool(small and point.mode.converged) or bool(found.success)
+    return whole(marginal, point, covariance, good)

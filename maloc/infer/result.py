@@ -33,7 +33,11 @@ class Fit(Fitted):
         What went less than well; empty for a clean fit.
     source : ArrivalTimes, EncounterHistory, ArrivalHistory or None
         What was fitted, where it was one of them.
+    notices : tuple of str
+        What the fit decided of itself.
     """
+
+    notices: tuple[str, ...] = ()
 
     def predict(self, times, tag: int = 0) -> Prediction:
         """Posterior of a tag's state at any times (n,), s: see `maloc.infer.predict`."""

@@ -43,6 +43,8 @@ class ToaData(ArrivalData):
         First arrival of each ping, from the data set's origin.
     dt : (T - 1,) s
         Element t: from ping t to ping t + 1.
+    receiver_sd : (R,) m or None
+        Standard deviation of receivers' x and of y; None: nothing is known of their errors.
     depth : DepthData or None
         Depths of the tag, the receivers and the bottom; None: the track is flat.
     valid : (T,) bool
@@ -60,6 +62,7 @@ class ToaData(ArrivalData):
     valid: Bool[Numbers, " ping"]
     present: Bool[Numbers, " receiver"]
     clock_sd: Float[Numbers, "ping receiver"] | None = None
+    receiver_sd: Float[Numbers, " receiver"] | None = None
     depth: DepthData | None = None
     schedule: str = "unknown"
     speed_known: bool = True
@@ -125,6 +128,7 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         valid=np.asarray(np.arange(pings) < n_pings),
         present=np.asarray(np.arange(columns) < n_receivers),
         clock_sd=None if clock is None else np.pad(clock[heard_rows] * speed[:, None], padding),
+        receiver_sd=_place_errors(toa.receivers, wider),
         depth=depth_data(
             toa.column,
             toa.receivers,
@@ -138,6 +142,12 @@ def to_model_data(toa: ArrivalTimes, pad: bool = True) -> ToaData:
         speed_known=sd is None,
     )
     return jax.device_put(data)  # at once: one by one, each would compile a copy
+
+
+def _place_errors(receivers, wider: int) -> np.ndarray | None:
+    """Stated errors (m) of receivers' places, 0 of what pads them; None where none is above 0."""
+    sd = receivers.position_sd
+    return np.pad(sd, (0, wider)) if sd is not None and np.any(sd) else None
 
 
 def as_toa_data(toa: ArrivalTimes | ToaData) -> ToaData:

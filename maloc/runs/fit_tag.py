@@ -66,6 +66,7 @@ def fit_tag(
     how: dict[str, Any] = {
         "movement": options.movement,
         "error": options.error,
+        "receivers": options.receiver_errors,
         "sound_speed": "estimated" if options.sound_speed == "estimated" else "auto",
         "positions": options.positions,
     }

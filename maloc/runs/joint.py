@@ -42,7 +42,7 @@ def fit_joint(options: TrackOptions, log: Log) -> tuple[FittedTags, Encounters]:
     asked = options.sound_speed
     how: dict[str, Any] = {
         "movement": options.movement,
-        "arrivals": options.error,
+        "arrivals": "ddetect" if options.error == "auto" else options.error,
         "detection": options.detection,
         "loss": options.loss and history.silence != "unknown",
         "dispersion": options.dispersion,

@@ -36,7 +36,8 @@ class TrackOptions:
     loss: bool = True
     dispersion: bool = False
     receiver_effects: bool = False
-    error: str = "ddetect"
+    error: str = "auto"
+    receiver_errors: str = "auto"
     interval: tuple[float, float] | None = None
     interval_stable: tuple[float, float] | None = None
     schedule_file: Path | None = None

@@ -20,6 +20,7 @@ from maloc.arrival import (
     Gaussian,
     GaussianStudent,
     GeneralizedNormal,
+    Multipath,
     Student,
 )
 from tests import oracles
@@ -33,6 +34,7 @@ LETTER = DDetect(3.0, SIGMA, PHI, 0.3)  # kaltoa's ddetect to the letter
 ROBUST = DDetect(3.0, SIGMA, PHI, 0.3, background=0.02)
 ODD = DDetect(3.0, SIGMA, PHI, 0.3, beta=7.0)
 MIXTURE = GaussianStudent(3.0, SIGMA, 25.0, 0.15)
+WATER = Multipath(3.0, SIGMA, 8.0, 0.3, 0.6, 12.0, 0.02, PHI)
 GENNORM = GeneralizedNormal(3.0, 5.0, 32.0)
 ERRORS = {
     "gaussian": GAUSSIAN,
@@ -41,6 +43,7 @@ ERRORS = {
     "background": ROBUST,
     "odd": ODD,
     "mixture": MIXTURE,
+    "multipath": WATER,
 }
 LAWS = {**ERRORS, "gennorm": GENNORM}
 SCIPY: dict[str, Any] = {
@@ -216,7 +219,7 @@ def test_icdf_moves_with_the_parameters():
 
 
 @case(
-    {"ddetect": LETTER, "background": ROBUST, "odd": ODD, "gennorm": GENNORM},
+    {"ddetect": LETTER, "background": ROBUST, "odd": ODD, "gennorm": GENNORM, "multipath": WATER},
     long=["odd", "ddetect"],
 )
 def test_mean_and_variance_by_quadrature(law):
@@ -230,7 +233,7 @@ def test_mean_and_variance_by_quadrature(law):
     mean = np.sum(w * value)
     got, variance = map(float, moments(law))
     assert got == pytest.approx(mean, rel=1e-5)
-    rel = 1e-3 if law is ROBUST else 1e-5  # the background has cubic tails
+    rel = 1e-3 if law in (ROBUST, WATER) else 1e-5  # the background has cubic tails
     assert variance == pytest.approx(np.sum(w * (value - mean) ** 2), rel=rel)
 
 
@@ -397,7 +400,7 @@ def test_draws_follow_the_distribution(law):
     n = 40_000
     drawn = np.asarray(jax.jit(lambda key: law.sample(key, (n,)))(jax.random.key(11)))
     assert stats.kstest(drawn, lambda v: at(law, "cdf", v)).pvalue > FALSE_ALARM
-    if law not in (STUDENT, ROBUST, MIXTURE):  # no fourth moment there
+    if law not in (STUDENT, ROBUST, MIXTURE, WATER):  # no fourth moment there
         limit = stats.norm.isf(FALSE_ALARM / 2)
         mean, variance = map(float, moments(law))
         assert abs(drawn.mean() - mean) < limit * math.sqrt(variance / n)
@@ -437,7 +440,7 @@ def test_shapes_expand_mask_and_pytree(law):
     np.testing.assert_allclose(law.log_prob(value[:1]), want[:1], rtol=1e-12)  # without jit
 
 
-@pytest.mark.parametrize("make", [Gaussian, Student, DDetect, GeneralizedNormal])
+@pytest.mark.parametrize("make", [Gaussian, Student, DDetect, GeneralizedNormal, Multipath])
 def test_batches_and_vmap_over_instances_agree(make):
     loc = jnp.asarray([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
     scale = jnp.asarray([[1.5], [2.5]])

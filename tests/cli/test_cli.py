@@ -176,7 +176,7 @@ def test_track_writes_every_file(tmp_path, engine):
     assert result.exit_code == 0, result.output
     assert {p.name for p in out.iterdir()} == OUTPUTS
     wanted = {"movement": "rw", "error": "student", "sound_speed": "auto", "positions": None}
-    assert engine == [wanted | {"draws": 1000, "seed": 0}]
+    assert engine == [wanted | {"draws": 1000, "seed": 0, "receivers": "auto"}]
     track = pl.read_csv(out / "track.csv")
     assert track["n_receivers"].to_list() == [4, 4, 4, 0, 4, 4, 4, 4]
     assert track["time"].null_count() == 8  # the input had no dates
@@ -228,7 +228,8 @@ def test_samplers_get_their_options(tmp_path, engine):
         "draws": 50,
         "chains": 3,
         "movement": "ctcrw",
-        "error": "ddetect",
+        "error": "auto",
+        "receivers": "auto",
         "sound_speed": "estimated",
         "positions": "pmc",
         "progress": False,

@@ -1,5 +1,7 @@
 """A model seen as a chain: its band Hessian against the dense one, for our models and others'."""
 
+from typing import Any
+
 import jax.monitoring
 import numpy as np
 import numpyro
@@ -130,10 +132,12 @@ def test_cross_derivative():
     args = cases.ranges_data()
     cm = chain_model(cases.ranges_only, {}, args)
     x, u = some_point(cm, args)
-    mixed = cm.cross(x, u, args)
+    mixed, own = cm.cross(x, u, args)
     slope = jax.jit(jax.grad(lambda x, u: -cm.log_joint(x, u, args)))
     wanted = jax.jit(jax.jacobian(lambda u: slope(x, u)))(jnp.asarray(u))
     np.testing.assert_allclose(mixed, np.moveaxis(wanted, -1, 0), rtol=1e-8, atol=1e-8)
+    wanted = jax.jit(jax.hessian(lambda u: -cm.log_joint(x, u, args)))(jnp.asarray(u))
+    np.testing.assert_allclose(own, wanted, rtol=1e-7, atol=1e-6)
 
 
 def test_joint_density_is_numpyro_s():
@@ -229,7 +233,7 @@ def test_arrays_of_other_sizes_in_one_process_have_their_own_sites():
     """Parameters by receiver, a path as wide as there are animals: the shapes are the data's."""
 
     def model(seen, heard):
-        level = numpyro.sample("level", dist.Normal(0, 1).expand([heard.shape[1]]).to_event(1))
+        level: Any = numpyro.sample("level", dist.Normal(0, 1).expand([heard.shape[1]]).to_event(1))
         first = numpyro.sample(
             "path",
             dist.Normal(0, 1).expand(seen.shape).to_event(1),

@@ -40,7 +40,7 @@ class TestLinearGaussian:
     @pytest.mark.parametrize("u", POINTS)
     def test_marginal_is_exact(self, linear, u):
         cm, args, dt, observed = linear
-        point = _Marginal(cm, args, np.zeros((14, 2)), np.full(2, 0.1))(u)
+        point = _Marginal(cm, args, np.zeros((14, 2)), u, np.full(2, 0.1))(u)
         dense = oracles.fixes_log_posterior(u, dt, observed, cases.SPREAD)
         constant = 0.5 * observed.size * np.log(2 * np.pi)
         np.testing.assert_allclose(-point.value + constant, dense, rtol=1e-11)

@@ -47,8 +47,9 @@ OPTIONS = {
     },
     "toa_track": {
         "movement": ("ctcrw", "rw", "ou"),
-        "error": ("ddetect", "gaussian", "student"),
+        "error": ("auto", "multipath", "gaussian", "student"),
         "sound_speed": ("auto", "given", "estimated"),
+        "receivers": ("auto", "estimated"),
     },
     "yaps": {
         "error": ("mixture", "student", "gaussian"),
@@ -126,10 +127,16 @@ def test_every_combination_traces(options, schedule):
         expected |= {"track": (6, 2), "home_sd": (), "home_t05": (), "home_offset": (2,)}
     else:
         expected |= {"track": (6, 2), "sigma_step": ()}
-    if options["error"] == "ddetect":
+    if options["error"] == "auto":
         expected["w"] = ()
+    if options["error"] == "multipath":
+        expected |= {"w": (), "lateness": ()}
     if options["sound_speed"] == "estimated":
         expected["sound_speed_ratio"] = ()
+    if options["receivers"] == "estimated":
+        r = len(times.receivers)
+        expected |= {"receiver_sd": (), "receiver_offset_sd": ()}
+        expected |= {"receiver_shift": (r, 2), "receiver_offset": (r,)}
     if schedule == "stable":
         expected |= {"interval_offset": (), "interval_sd": ()}
     assert shapes == expected
@@ -235,7 +242,7 @@ def test_density_of_toa_track_by_hand():
     total += norm.logpdf(position[0], xy[heard.any(0)].mean(0), spread).sum()
     scale = 0.7 * np.sqrt(np.diff(first))[:, None]
     total += norm.logpdf(np.diff(position, axis=0), 0, scale).sum()
-    total += norm.logpdf(emission, 0, spread).sum()
+    total += norm.logpdf(emission, 0, 10 * spread).sum()
     distance = np.sqrt(((position[:, None] - xy) ** 2).sum(-1) + 0.25)
     ranges = (times.toa - first[:, None]) * cases.SPEED
     residual = (ranges - emission[:, None] - distance)[heard]

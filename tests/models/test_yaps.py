@@ -39,7 +39,8 @@ def by_hand(toa, values, speed):
     first = np.nanmin(toa_s, axis=1)
     spread = max(1000.0, 2 * np.max(np.linalg.norm(xy[:, None] - xy, axis=-1)))
     track, emission = values["track"], values["emission"]
-    total = norm.logpdf(track[0], xy.mean(0), spread).sum() + norm.logpdf(emission, 0, spread).sum()
+    total = norm.logpdf(track[0], xy.mean(0), spread).sum()
+    total += norm.logpdf(emission, 0, 10 * spread).sum()
     step = FREE["sigma_step"] * np.sqrt(np.diff(first))[:, None]  # variance 2 D_xy dt
     total += norm.logpdf(np.diff(track, axis=0), 0, step).sum()
     top = first + emission / speed
