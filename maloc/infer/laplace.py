@@ -174,7 +174,7 @@ def _walks(cm: ChainModel) -> bool:
 
 
 def _fit(cm: ChainModel, args: tuple, path, positions, stages: Stages) -> MarginalFit:
-    """Start, fit, add the receivers' effects, and fit again while that explains more."""
+    """Start, fit, and fit again as long as pings or stretches find a better explanation."""
     with stages.time("initial"):
         found = checked_positions(args, positions)
         starts = _starts(cm, args, path, found)
