@@ -28,6 +28,7 @@ def test_mean_slowness_against_quadrature():
             assert got[i, j] == pytest.approx(1500.0 * expected, rel=1e-9)
 
 
+@pytest.mark.compiles
 def test_a_profile_a_state_and_padding():
     """Each state has its own row of speeds, in JAX as in NumPy."""
     rows = np.concatenate([SPEED, SPEED + 10.0, SPEED[:, ::-1]])
@@ -45,6 +46,7 @@ def test_a_profile_a_state_and_padding():
     np.testing.assert_allclose(traced, got, rtol=1e-13)
 
 
+@pytest.mark.compiles
 def test_gradient_across_layers_and_at_the_receivers_depth():
     receiver = np.array([6.3])
     ray = ray_data(KNOT, SPEED, np.ones(1))
