@@ -157,7 +157,8 @@ class Fitted:
         """Sites of `draws` that do not run along time; receivers' effects in metres alone."""
         raw = {site.name for site in self.cm.globals if site.inner}
         names = [k for k in self.draws() if _dims.along(self.cm) not in self.dims(k)]
-        return [name for name in names if name not in raw]
+        names = [name for name in names if name not in raw]
+        return sorted(names, key=lambda name: "receiver" in self.dims(name))  # else in their order
 
     def _arrivals(self) -> tuple[dict, dict, dict]:
         """Of the observed sites log likelihoods (chain, draw, values), means of the rest, sums.
